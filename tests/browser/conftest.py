@@ -55,6 +55,31 @@ function opnavFigure(name) {
 """
 
 
+# In every page: `opnavDrawn()` waits until what the page has heard is drawn, which is in its next frame, and what follows
+# from that in the one after; `opnavTheme(dark)` takes a theme and waits for its style sheet, which comes after its name.
+HELPERS = """
+window.opnavDrawn = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0))));
+window.opnavTheme = async (dark) => {
+  const theme = `JupyterLab ${dark ? 'Dark' : 'Light'}`;
+  await jupyterapp.commands.execute('apputils:change-theme', { theme }).catch(() => {});
+  const ground = () => getComputedStyle(document.body).getPropertyValue('--jp-layout-color1').trim().toLowerCase();
+  const told = () => (document.body.dataset.jpThemeLight === 'false') === dark;
+  while (!told() || ground() === '' || ['#fff', '#ffffff', 'white'].includes(ground()) === dark)
+    await new Promise(done => setTimeout(done, 20));
+  while (document.querySelector('#jupyterlab-splash')) await new Promise(done => setTimeout(done, 20));
+  await opnavDrawn();
+};
+"""
+DRAWN = "() => opnavDrawn()"
+
+
+def _context(chromium: Any, **options: Any) -> Any:
+    """Return a browser context whose pages have the helpers."""
+    context = chromium.new_context(**({"viewport": SIZE} | options))
+    context.add_init_script(HELPERS)
+    return context
+
+
 def _missing(what: str) -> None:
     if os.environ.get("CI"):
         pytest.fail(f"{what}; CI must run the browser tests.")
@@ -143,9 +168,7 @@ class Notebook:
         self.page.wait_for_function("() => !jupyterapp.shell.currentWidget.context.model.dirty")
 
     def dark(self, on: bool = True) -> None:
-        theme = "JupyterLab Dark" if on else "JupyterLab Light"
-        self.command("apputils:change-theme", theme=theme)
-        self.page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not on).lower())
+        self.page.evaluate("dark => opnavTheme(dark)", on)
 
     def python(self, expression: str) -> Any:
         """Evaluate an expression in the notebook's kernel; the value must be JSON."""
@@ -178,6 +201,7 @@ class Notebook:
         self.page.wait_for_function(
             "() => [...document.querySelectorAll('.opnav-bridge')].every(e => (e.dataset.pending ?? '0') === '0')"
         )
+        self.page.evaluate(DRAWN)
 
     def view(self, number: int = 0) -> Any:
         """Wait for a view and return its root element, scrolled into sight."""
@@ -218,11 +242,12 @@ class Notebook:
             self.page.keyboard.press(key)
 
     def status(self, text: str) -> None:
-        """Wait until the view's status line contains a text."""
+        """Wait until the view's status line contains a text, and what came with it is drawn."""
         self.page.wait_for_function(
             "t => [...document.querySelectorAll('.opnav-status')].some(e => e.textContent.includes(t))",
             arg=text,
         )
+        self.page.evaluate(DRAWN)
 
     def shot(self, name: str) -> Path:
         """Save a screenshot where ``OPNAV_SHOTS`` says, else beside the notebook."""
@@ -256,7 +281,7 @@ class Bench:
         put_notebook(folder, parameters)
         self.folder, self.actions = folder, 0
         self.address = f"{lab.address}/lab/tree/{name}/workbench.ipynb?token={lab.token}"
-        self.context = chromium.new_context(**({"viewport": SIZE} | options))
+        self.context = _context(chromium, **options)
         self.errors: list[str] = []
         self.page = self.open()
 
@@ -275,12 +300,13 @@ class Bench:
             self.page.keyboard.press(key)
 
     def said(self, text: str, timeout_ms: float = 30_000) -> None:
-        """Wait until the status line contains a text."""
+        """Wait until the status line contains a text, and what came with it is drawn."""
         self.page.wait_for_function(
             "t => document.querySelector('.ow-window .ow-status')?.textContent.includes(t)",
             arg=text,
             timeout=timeout_ms,
         )
+        self.page.evaluate(DRAWN)
 
     def close(self) -> None:
         self.page.evaluate("() => jupyterapp.shell.currentWidget?.sessionContext?.shutdown()")
@@ -330,12 +356,12 @@ class Notebooks:
                 "language": "python",
             }
             nbformat.write(book, self.lab.root / name)
-        self.opened.append(Notebook(self.lab, self.chromium.new_context(viewport=size), name))
+        self.opened.append(Notebook(self.lab, _context(self.chromium, viewport=size), name))
         return self.opened[-1]
 
     def visit(self, server: Any, name: str) -> Notebook:
         """Open a notebook of another server (with `address`, `token` and `root`)."""
-        self.opened.append(Notebook(server, self.chromium.new_context(viewport=SIZE), name))
+        self.opened.append(Notebook(server, _context(self.chromium), name))
         return self.opened[-1]
 
     def close(self) -> None:

@@ -57,18 +57,26 @@ def said(page, text):
     page.wait_for_function(
         "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text, timeout=30_000
     )
+    page.evaluate("opnavDrawn()")
 
 
 def settled(page):
     """Geometry once it no longer changes."""
     before = None
     for _ in range(40):
-        page.wait_for_timeout(100)
+        page.evaluate("opnavDrawn()")
+        page.wait_for_timeout(50)  # what is gathered before it is told, and observers
         now = page.evaluate(GEOMETRY)
         if now == before:
             return now
         before = now
     raise AssertionError(f"the page does not come to rest: {before}")
+
+
+def show_tab(page, key):
+    """Show a tab by its key, and wait for it."""
+    page.keyboard.press(key)
+    page.locator(".ow-panel .tabs button[aria-pressed=true]", has_text=key).wait_for()
 
 
 def go(page, name):
@@ -121,11 +129,9 @@ def test_theme_does_not_move_the_picture(bench, place):
     if place == "notebook":
         page.keyboard.press("W")
     before = settled(page)
-    for theme, light in (("JupyterLab Dark", "false"), ("JupyterLab Light", "true")):
-        page.evaluate("t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }", theme)
-        page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=light)
-        page.wait_for_timeout(800)  # its style sheet comes later
-        assert settled(page) == before, theme
+    for dark in (True, False):
+        page.evaluate("dark => opnavTheme(dark)", dark)
+        assert settled(page) == before, f"dark: {dark}"
     if place == "notebook":
         page.keyboard.press("W")
         settled(page)
@@ -139,12 +145,10 @@ def test_the_picture_keeps_to_what_the_bars_leave(bench):
         """() => { const sheet = document.head.appendChild(document.createElement('style'));
         sheet.id = 'between-themes'; sheet.textContent = '.opnav-switches { min-height: 320px !important; }'; }"""
     )
-    page.wait_for_timeout(300)
     pressed = settled(page)
     assert pressed["figure"][3] <= 800
     assert pressed["frame"][1] < before["frame"][1] - 50
     page.evaluate("() => document.querySelector('#between-themes').remove()")
-    page.wait_for_timeout(300)
     assert settled(page) == before
 
 
@@ -170,13 +174,10 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
     """At 1920 and 1280 px, and at 1280 with 200 %, which leaves a page 640 x 400 of its own px; in light and dark."""
     page = bench.page
     page.set_viewport_size({"width": size[0], "height": size[1]})
-    theme = f"JupyterLab {'Dark' if dark else 'Light'}"
-    page.evaluate("t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }", theme)
-    page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not dark).lower())
-    page.wait_for_timeout(800)
+    page.evaluate("dark => opnavTheme(dark)", dark)
     try:
         for tab in "12345":
-            page.keyboard.press(tab)
+            show_tab(page, tab)
             seen = settled(page)
             assert seen["bench"] == [0, 0, *size]
             assert min(seen["frame"]) >= least
@@ -196,10 +197,7 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
         page.keyboard.press("1")
         page.keyboard.press("h")
         page.set_viewport_size({"width": 1280, "height": 800})
-        page.evaluate(
-            "() => { jupyterapp.commands.execute('apputils:change-theme', { theme: 'JupyterLab Light' }) }"
-        )
-        page.wait_for_timeout(800)
+        page.evaluate("() => opnavTheme(false)")
 
 
 def brightness(css):
@@ -297,12 +295,19 @@ RUN = """(code) => new Promise(done => {
 })"""
 
 
-def ask_while(page, seconds):
-    """Press a key that only Python can answer, and return what the page says of the kernel so long after."""
+# The page's clock goes ahead; what the kernel's beat then tells of is counted from there.
+TIME_PASSES = """(ms) => { const now = Date.now; Date.now = () => now() + ms; }"""
+HEARD_SINCE = "since => document.querySelector('.opnav-workbench').owLife.heard >= since"
+
+
+def ask_while(page, seconds, word):
+    """Press a key that only Python can answer, and wait for what the page says of the kernel so long after."""
     page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
     page.keyboard.press("?")
-    page.wait_for_timeout(1000.0 * seconds)
-    return page.locator(".opnav-workbench").get_attribute("data-ow-wait")
+    page.evaluate(TIME_PASSES, 1000.0 * seconds)
+    page.wait_for_function(
+        "t => (document.querySelector('.opnav-workbench').dataset.owWait ?? '').includes(t)", arg=word
+    )
 
 
 def answered(page):
@@ -316,9 +321,14 @@ def answered(page):
 def test_a_busy_kernel_beats_and_is_not_called_dead(bench):
     """Its main thread is at something else for longer than silence may be: it is busy, since its beat is heard."""
     page = bench.page
-    page.evaluate(f"code => void ({RUN})(code)", f"import time; time.sleep({SILENCE_S + 5.0})")
-    page.wait_for_timeout(300)
-    assert ask_while(page, SILENCE_S + 2.0) == "The kernel is busy; what you do is queued."
+    page.evaluate(f"code => void ({RUN})(code)", "import time; globals().update(begun=1); time.sleep(6.0)")
+    page.wait_for_function(
+        "() => jupyterapp.shell.currentWidget.sessionContext.session.kernel.status === 'busy'"
+    )
+    ask_while(page, SILENCE_S + 2.0, "")
+    page.wait_for_function(HEARD_SINCE, arg=page.evaluate("() => Date.now()"))  # a beat after all that time
+    word = page.locator(".opnav-workbench").get_attribute("data-ow-wait")
+    assert word == "The kernel is busy; what you do is queued."
     answered(page)
 
 
@@ -328,7 +338,7 @@ def test_a_kernel_that_nothing_is_heard_of_is_waited_for(bench):
     process = int(page.evaluate(RUN, "import os; print(os.getpid())"))
     os.kill(process, signal.SIGSTOP)
     try:
-        assert "Nothing was heard of the kernel for" in ask_while(page, SILENCE_S + 2.5)
+        ask_while(page, SILENCE_S + 2.5, "Nothing was heard of the kernel for")
     finally:
         os.kill(process, signal.SIGCONT)
     answered(page)
@@ -373,48 +383,36 @@ LIST_SEEN = """() => {
 }"""
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
-def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size, dark):
-    """The list goes on while one is opened; neither shows the picture before, and both say what they are at."""
-    name = f"list_{size[0]}_{dark}"
-    folder = lab.root / name
+LOOKS = [(size, dark) for size in ((1280, 800), (1920, 1080)) for dark in (False, True)]
+
+
+def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths):
+    """The list goes on while one is opened; neither shows the picture before, and both say what they are at.
+
+    In both sizes of the window, in light and dark.
+    """
+    folder = lab.root / "list"
     folder.mkdir()
     good = [shutil.copy(truth.picture, folder) for truth in demo_truths]
     broken = folder / "broken.fit"
     broken.write_bytes(b"no picture")
     slow = shutil.copy(demo_truths[0].picture, folder / "slow.fit")
     how = Processing(mission="new_horizons", kernels=DEMO_KERNELS, catalog=DEMO_CATALOG)
-    pictures = (*map(str, good), str(broken), str(slow))
-    opened = open_bench(name, LabParameters(pictures, how), viewport={"width": size[0], "height": size[1]})
+    opened = open_bench("list", LabParameters((*map(str, good), str(broken), str(slow)), how))
     page = opened.page
     opened.said("lorri_4x4.fit: ")
     page.evaluate(RUN, GATE)
-    page.evaluate(
-        "t => { jupyterapp.commands.execute('apputils:change-theme', { theme: t }) }",
-        f"JupyterLab {'Dark' if dark else 'Light'}",
-    )
-    page.wait_for_function("l => document.body.dataset.jpThemeLight === l", arg=str(not dark).lower())
     opened.press("PageDown", "PageDown")
     opened.said("broken.fit cannot be opened")
     in_place_of_picture(page, "broken.fit cannot be opened")
-    failed = page.evaluate(LIST_SEEN)
+    for seen in in_all_looks(page, "broken.fit"):
+        assert "Try again" in seen["panel"]
+        assert "cannot be opened" in seen["here"]
     opened.press("PageDown")
     in_place_of_picture(page, "opening slow.fit")
-    waiting = page.evaluate(LIST_SEEN)
-    shot(page, f"slow_{name}")
-    for seen, file in ((failed, "broken.fit"), (waiting, "slow.fit")):
-        assert seen["name"] == file
-        assert file in seen["here"]
-        assert seen["bench"] == [0, 0, *size]
-        assert not seen["bar"]  # no control of a picture that is not there
-        assert seen["message_box"] == seen["figure"]  # nothing of the picture before is seen
-        back, ground = seen["colors"]
-        assert abs(brightness(back) - brightness(ground)) > 0.4
-        assert page.evaluate(CUT_OFF) == []
-    assert "Try again" in failed["panel"]
-    assert ("cannot be opened" in failed["here"], "being opened" in waiting["here"]) == (True, True)
-    assert "opening slow.fit" in waiting["status"]
+    for seen in in_all_looks(page, "slow.fit"):
+        assert "being opened" in seen["here"]
+        assert "opening slow.fit" in seen["status"]
     # The analyst need not wait: another picture is worked on meanwhile.
     opened.press("PageUp", "PageUp")
     opened.said("mvic_framing.fit: ")
@@ -424,8 +422,29 @@ def test_slow_and_failing_pictures_of_a_list(lab, open_bench, demo_truths, size,
     page.locator(".ow-window .ow-queue li", has_text="slow.fit").locator(".sign.open, .sign.stars").wait_for()
     opened.press("PageDown", "PageDown")
     opened.said("slow.fit: ")
+    page.locator(".ow-window .opnav-message").wait_for(state="hidden")
     assert settled(page)["inside"]
     opened.check_errors()
+
+
+def in_all_looks(page, file):
+    """What is seen of a picture that is not there, in each size and theme; what must be so of any is asserted."""
+    for size, dark in LOOKS:
+        page.set_viewport_size({"width": size[0], "height": size[1]})
+        page.evaluate("dark => opnavTheme(dark)", dark)
+        settled(page)
+        seen = page.evaluate(LIST_SEEN)
+        shot(page, f"list_{file}_{size[0]}_{dark}")
+        assert seen["name"] == file
+        assert file in seen["here"]
+        assert seen["bench"] == [0, 0, *size]
+        assert not seen["bar"]  # no control of a picture that is not there
+        assert seen["message_box"] == seen["figure"]  # nothing of the picture before is seen
+        back, ground = seen["colors"]
+        assert abs(brightness(back) - brightness(ground)) > 0.4
+        assert (brightness(ground) < 0.5) is dark
+        assert page.evaluate(CUT_OFF) == []
+        yield seen
 
 
 def in_place_of_picture(page, text):

@@ -11,6 +11,7 @@ from opnav_workbench.workbench import ImageView
 view = ImageView()
 view._begin((1024, 1024))
 view.set_image("data", np.full((1024, 1024), 60000, np.uint16), label="image")
+groups = list(view.state.groups)
 rng = np.random.default_rng(2)
 places = rng.uniform(5.0, 1018.0, (2000, 2))
 places[0] = 512.0, 512.0
@@ -41,11 +42,20 @@ COLORS = """([x, y, reach]) => { const view = opnavFigure('opnav-picture');
   return [...data]; }"""
 
 
-@pytest.fixture
-def nb(notebook):
-    nb = notebook(SETUP, "view")
+@pytest.fixture(scope="module")
+def page_with_marks(module_notebook):
+    nb = module_notebook(SETUP, "view")
     nb.run_all()
     nb.view()
+    return nb
+
+
+@pytest.fixture
+def nb(page_with_marks):
+    """The view as it comes: all of the picture, and the groups that are shown at first."""
+    nb = page_with_marks
+    nb.python("view._look_at_all(1024, 1024) or view.state.update(groups=groups, vector_scale=0.0) or 1")
+    nb.page.locator(".opnav-bridge").focus()
     return nb
 
 
@@ -56,7 +66,7 @@ def show(nb, count):
         "r => r.name === 'overlay:predicted' && r.data_source.data.pixel.length === n)",
         arg=count,
     )
-    nb.page.wait_for_timeout(300)
+    nb.settle()
 
 
 def colors(nb, reach):
@@ -87,7 +97,7 @@ def test_marks_of_a_crowd_are_seen_with_dark_edges_on_a_bright_ground(nb):
     assert near(seen, blue) >= 4
     assert (seen.max(axis=1) < 150.0).sum() >= 8  # the edge; the ground is nearly white
     nb.page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').setv({ groups: [] })")
-    nb.page.wait_for_timeout(300)
+    nb.settle()
     assert near(colors(nb, 8), yellow) == near(colors(nb, 8), blue) == 0
 
 
@@ -108,7 +118,10 @@ def test_arrows_of_a_crowd_grow_in_the_page_alone(nb):
     show(nb, 2000)
     nb.page.evaluate(STROKES, "v")
     nb.python("view.state.update(vector_scale=10.0) or 1")
-    nb.page.wait_for_timeout(300)
+    nb.page.wait_for_function(
+        "() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').vector_scale === 10"
+    )
+    nb.settle()
     before = colors(nb, 30)
     nb.page.evaluate(
         "() => { globalThis.patches = []; const doc = Bokeh.documents.at(-1);"

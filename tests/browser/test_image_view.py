@@ -326,7 +326,11 @@ def test_marks_are_seen_on_the_brightest_ground(opened):
     nb.page.mouse.move(5, 5)
     for groups in (["predicted"], ["observed"]):
         nb.python(f"view.state.update(groups={groups}) or 1")
-        nb.page.wait_for_timeout(400)
+        nb.page.wait_for_function(
+            "groups => String(Bokeh.documents.at(-1).get_model_by_name('opnav-state').groups) === String(groups)",
+            arg=groups,
+        )
+        nb.settle()
         seen = screen(nb, pixel, line, 14)
         light = seen @ [0.2126, 0.7152, 0.0722]
         ground = np.median(light)

@@ -150,7 +150,7 @@ def test_two_pictures_side_by_side_and_under_a_curtain(nb):
     shown = nb.page.locator(".opnav-stage > .opnav-figure")
     nb.press("D")
     nb.page.locator(".opnav-second").wait_for()
-    nb.page.wait_for_timeout(300)
+    nb.settle()
     left, right = (shown.nth(i).bounding_box() for i in (0, 1))
     assert right["x"] >= left["x"] + left["width"]
     assert right["x"] + right["width"] <= 1280
@@ -164,7 +164,7 @@ def test_two_pictures_side_by_side_and_under_a_curtain(nb):
     assert "| 104 DN" in nb.page.inner_text(".opnav-read-value")
     nb.press("Y")
     nb.page.locator(".opnav-curtain").wait_for()
-    nb.page.wait_for_timeout(300)
+    nb.settle()
     box = nb.page.locator(".opnav-curtain").bounding_box()
     at = box["x"] + box["width"] / 2
     nb.page.mouse.move(at, box["y"] + 60)

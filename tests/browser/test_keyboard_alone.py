@@ -52,6 +52,11 @@ def rehearsal(tmp_path_factory):
     return open_rehearsal(folder)
 
 
+# It is open, or the page says that it cannot be: "opening" is neither yet.
+ARRIVED = """name => { const said = document.querySelector('.ow-window .ow-status')?.textContent ?? '';
+  return said.includes(`${name}: `) || said.includes(`${name} cannot be opened`); }"""
+
+
 def test_the_stress_rehearsal_by_keyboard_alone(rehearsal, open_bench, tmp_path, record_property):
     """New pictures, wrong pointing, mottled and saturated disks; each key is an action."""
     simulate(load_picture_scenario(SATURATED), tmp_path)
@@ -66,7 +71,7 @@ def test_the_stress_rehearsal_by_keyboard_alone(rehearsal, open_bench, tmp_path,
     names = [picture.name for picture in rehearsal.received]
     solved, cut = {}, []
     for name in (*names, "saturated"):
-        bench.said(f"{name}.fit")
+        bench.page.wait_for_function(ARRIVED, arg=f"{name}.fit")
         if "cannot be opened" in bench.page.inner_text(".ow-window .ow-status"):
             cut.append(name)
             bench.press("PageDown")
@@ -103,6 +108,9 @@ def right_as_it_says(result, truth):
     return rows
 
 
+BODY = ".ow-window .ow-panel .bodies button[aria-pressed=true]"
+
+
 def work_through(bench):
     """What a picture needs: its stars, the pointing, both bodies, the files."""
     bench.press("f")
@@ -111,10 +119,14 @@ def work_through(bench):
     bench.said("pointing: ")
     bench.press("3")
     for key in ("", "n"):
+        before = bench.page.inner_text(BODY)
         if key:
             bench.press(key)
+            bench.page.wait_for_function(
+                "([s, b]) => document.querySelector(s)?.innerText !== b", arg=[BODY, before]
+            )
         bench.press("f")
-        body = bench.page.inner_text(".ow-window .ow-panel .bodies button[aria-pressed=true]").split()[-1]
+        body = bench.page.inner_text(BODY).split()[-1]
         bench.said(f"{body}, ", FIND_MS)
     bench.press("e")
     bench.said("files written", 60_000)

@@ -138,8 +138,11 @@ def test_the_list_is_filtered_sorted_and_has_thumbnails(bench):
     page.wait_for_function("() => document.querySelectorAll('.ow-window .ow-queue li').length === 2")
     order = page.locator(".ow-window .ow-queue select[data-act=list_order]")
     order.select_option("by name")
-    page.wait_for_timeout(300)
-    assert names.all_inner_texts() == sorted([first, second])
+    page.wait_for_function(
+        "names => String([...document.querySelectorAll('.ow-window .ow-queue li .name')].map(one => one.innerText))"
+        " === String(names)",
+        arg=sorted([first, second]),
+    )
     order.select_option("as given")
     page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
 
@@ -147,7 +150,7 @@ def test_the_list_is_filtered_sorted_and_has_thumbnails(bench):
 def test_the_star_under_the_cursor_is_told(bench):
     page = bench.page
     bench.press("h")
-    page.wait_for_timeout(300)
+    page.evaluate("opnavDrawn()")
     for name, at in facts(page).items():
         page.mouse.move(*place(page, *at))
         page.wait_for_function(
@@ -174,6 +177,7 @@ def test_north_and_east_are_where_the_readout_says(bench):
             continue
         for end, at in (("from", (x0, y0)), ("to", (x1, y1))):
             page.mouse.move(*place(page, *at))
+            page.evaluate("opnavDrawn()")
             told = page.inner_text(".ow-window .opnav-read-degrees")
             degrees[name, end] = [float(one.replace("−", "-")) for one in re.findall(r"[+−]?\d+\.\d+", told)]
     ra, dec = np.subtract(degrees["E", "to"], degrees["E", "from"])
@@ -186,7 +190,8 @@ def test_north_and_east_are_where_the_readout_says(bench):
     middle = place(page, data[0][0], data[1][0])
     assert seen_near(page, middle, 30, ORANGE) > 10
     bench.press("N")
-    page.wait_for_timeout(300)
+    page.wait_for_function(f"() => !{STATE}.groups.includes('compass')")
+    page.evaluate("opnavDrawn()")
     assert seen_near(page, middle, 30, ORANGE) == 0
     bench.press("N")
 
@@ -227,16 +232,21 @@ def test_another_picture_is_locked_on_sky_or_pixel(bench):
     lock.wait_for()
     bits = """() => { const { image } = Bokeh.documents.at(-1).get_model_by_name('opnav-shown').data;
       let sum = 0; for (const word of image[0]) sum = (31 * sum + word) % 1000003; return sum; }"""
-    page.wait_for_function(f"key => {STATE}.image === key", arg=other)
-    page.wait_for_timeout(800)
-    seen = {}
-    for _ in range(2):
-        seen[lock.inner_text()] = page.evaluate(bits)
+    page.wait_for_function(
+        "key => document.querySelector('.ow-window .opnav-bridge').dataset.painted.startsWith(key)", arg=other
+    )
+    seen = {lock.inner_text(): page.evaluate(bits)}
+    for _ in range(2):  # to the other one, and back
+        before = page.evaluate(bits)
         lock.click()
-        page.wait_for_timeout(800)
+        page.wait_for_function(
+            "([key, before]) => document.querySelector('.ow-window .opnav-bridge').dataset.painted.startsWith(key)"
+            f" && ({bits})() !== before",
+            arg=[other, before],
+        )
+        page.evaluate("opnavDrawn()")
+        assert seen.setdefault(lock.inner_text(), page.evaluate(bits)) == page.evaluate(bits)
     assert set(seen) == {"Lock: sky", "Lock: pixel"}
-    assert seen["Lock: sky"] != seen["Lock: pixel"]
-    assert page.evaluate(bits) in seen.values()
     choice.select_option("data")
     page.evaluate("() => document.querySelector('.opnav-workbench').focus()")
 
@@ -257,6 +267,7 @@ def test_regions_and_solved_wcs_are_written_by_what_the_page_offers(bench):
     bench.press("1")
     at = tuple(places[0])
     page.mouse.move(*place(page, *at))
+    page.evaluate("opnavDrawn()")
     told = page.inner_text(".ow-window .opnav-read-degrees")
     ra, dec = (float(one.replace("−", "-")) for one in re.findall(r"[+−]?\d+\.\d+", told))
     found = wcs.all_pix2world([at], 0)[0]

@@ -108,7 +108,9 @@ def test_a_star_frame_loads_nothing_that_few_pictures_need(demo_truths, tmp_path
     )
     result = json.loads((tmp_path / truth.picture.stem / "result.json").read_text())
     assert (result["status"], result["pointing"]["n_stars"]) == ("ok", 15)
-    seldom = SELDOM - _loaded_by("import scipy.special, scipy.ndimage")  # SciPy 1.18 loads its linalg with them
+    seldom = SELDOM - _loaded_by(
+        "import scipy.special, scipy.ndimage"
+    )  # SciPy 1.18 loads its linalg with them
     assert loaded.isdisjoint(seldom), sorted(loaded & seldom)
 
 

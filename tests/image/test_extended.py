@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from opnav_workbench.image import estimate_background, extended_light, sky_and_bodies
+from opnav_workbench.image import estimate_background, extended, extended_light, sky_and_bodies
 
 SIGMA_PX = 0.85
 OPTIONS = {"radius_px": 6.0, "psf_sigma_px": SIGMA_PX}
@@ -102,3 +103,12 @@ def test_without_bodies_the_background_is_that_of_the_mesh_alone():
     plain = estimate_background(image, none)
     np.testing.assert_array_equal(background.level_dn, plain.level_dn)
     np.testing.assert_array_equal(background.noise_dn, plain.noise_dn)
+
+
+def test_boxes_found_by_bands_are_those_of_the_whole(monkeypatch):
+    """An area that goes on in the next band has one box, also where it is not in the band before."""
+    monkeypatch.setattr(extended, "BAND_PIXELS", 300)
+    areas, n = ndimage.label(np.random.default_rng(8).uniform(size=(61, 90)) > 0.55)
+    assert n > 20
+    assert extended._boxes(areas) == ndimage.find_objects(areas)
+    assert extended._boxes(np.zeros((61, 90), int)) == []

@@ -126,8 +126,7 @@ class ImageLayout {
     this.lock = button(this.bar, "", view.hint("lock"), () => view.do("lock"));
     button(this.bar, "PNG", view.hint("save_view"), () => view.do("save_view"));
     this.switches = make("div", "opnav-switches", this.box);
-    this.body = make("div", "opnav-body", this.box);
-    this.stage = make("div", "opnav-stage", this.body);
+    this.stage = make("div", "opnav-stage", this.box);
     this.picture = make("div", "opnav-figure", this.stage);
     this.message = make("div", "opnav-message", this.picture);
     this.cross = make("div", "opnav-cross", this.picture);
@@ -137,14 +136,14 @@ class ImageLayout {
     this.captions = ["left", "right"].map((side) => make("div", `opnav-caption opnav-caption-${side}`, this.stage));
     this.coming = make("div", "opnav-caption opnav-coming", this.picture);
     for (const node of [this.coming, this.cross, this.second, this.secondCross, this.curtain, ...this.captions]) node.hidden = true;
-    this.zoom = make("div", "opnav-zoom", this.stage);
+    this.zoom = make("div", "opnav-zoom", this.box);
     for (const [name, text] of [["home", "All"], ["zoom_in", "+"], ["zoom_out", "−"]])
       button(this.zoom, text, view.hint(name), () => view.do(name));
     this.toolButtons = Object.fromEntries(Object.entries(TOOL_ICONS).map(([name, icon]) => [name, this.toolButton(name, icon)]));
-    this.side = make("div", "opnav-side", this.body);
+    this.side = make("div", "opnav-side", this.box);
     this.magnifier = make("div", "opnav-figure opnav-small", this.side);
     this.panner = make("div", "opnav-figure opnav-small", setup.strip ? null : this.side);
-    if (setup.strip) this.body.prepend(this.panner);
+    if (setup.strip) this.stage.before(this.panner);
     this.readout = make("div", "opnav-readout", this.side);
     this.lines = ["place", "value", "ra", "dec", "degrees", "body", "star", "scale", "shade"].map((name) => make("div", `opnav-read-${name}`, this.readout));
     this.lines[5].title = "Distance from the body's center; click for the next body.";

@@ -1,8 +1,7 @@
 // The picture in the page: paints DN with the stretch, follows the cursor, and carries out the view's own actions.
 
 const SIDE_PX = 132; // magnifier and panner
-const SIDE_NARROW_PX = 112;
-const SIDE_WIDE_PX = 104; // two of them fill the column beside the picture
+const SIDE_NARROW_PX = 104; // two of them fill the column beside the picture, too: they stay as they are where the room changes
 const ZOOM_PX = 36; // the buttons beside the picture
 const MOST_PX = 900; // of the picture's frame, in a notebook's cell
 const COLUMN_PX = 236; // menus, switches, small pictures and readout beside the picture, where that leaves it larger
@@ -11,7 +10,7 @@ const AROUND_PX = 270; // JupyterLab's bars, and the view's own
 const STRIP_SHAPE = 3; // width over height of the frame for a strip
 const STRIP_MARGIN = 1.15; // lines shown, over the strip's own
 const AXES_PX = [52, 26]; // room for axis labels, left and below
-const READOUT_PX = 60; // the readout in three rows, under the picture
+const READOUT_PX = 60; // the readout in four rows, under the picture
 const COMPASS_PX = { corner: 62, arrow: 34, name: 46 }; // its middle from the frame's edges, and its reach
 const GAP_PX = 10; // between two pictures side by side
 const MOST_WIDTHS = 3; // of the frame that are remembered: with the panel, without it, with more of it
@@ -56,7 +55,7 @@ class ImagePage extends ImageCursor {
     const bench = this.page.root.closest(".opnav-workbench");
     // In the frame in which the room changes; the observer tells of it when that one is painted.
     bench?.addEventListener("opnav-room", () => this.page.guard(() => this.fit()), { signal: this.signal });
-    const observer = new ResizeObserver(() => this.soon("fit"));
+    const observer = new ResizeObserver(() => this.fits() || this.soon("fit"));
     // The bars too: they change their height when a theme is loaded, and nothing else does then.
     for (const node of [this.page.root.parentElement, this.layout.bar, this.layout.switches]) observer.observe(node);
     this.signal.addEventListener("abort", () => observer.disconnect());
@@ -370,24 +369,22 @@ class ImagePage extends ImageCursor {
     this.width = width;
     const [axis_x, axis_y] = AXES_PX;
     const classes = this.layout.box.classList;
-    classes.remove("opnav-slim", "opnav-wide");
-    const bench = this.page.root.closest(".opnav-workbench") && outer.clientHeight > 0;
+    const height = outer.clientHeight;
+    const bench = this.page.root.closest(".opnav-workbench") && height > 0;
     // What the bars leave, as they are with little room across, and with much.
-    const roomBelow = (narrow) => {
-      classes.toggle("opnav-narrow", narrow);
-      return bench ? outer.clientHeight - this.layout.bar.offsetHeight - this.layout.switches.offsetHeight - 8 : Infinity;
-    };
+    const roomBelow = (narrow) => (bench ? height - this.barsHeight(width, narrow) - 8 : Infinity);
     const wide = width < NARROW_PX ? 0 : Math.min(width - axis_x - ZOOM_PX - SIDE_PX - 86, roomBelow(false) - axis_y);
     const room = roomBelow(true);
     // Where there is little room, everything stands under the picture, or the small pictures beside it: what shows more.
     const tall = Math.min(width - axis_x - ZOOM_PX - 10, room - axis_y - SIDE_NARROW_PX - 8);
     const slim = Math.min(width - axis_x - SIDE_NARROW_PX - 14, room - axis_y - READOUT_PX);
     const narrow = width < NARROW_PX || (bench && Math.max(tall, slim) > wide);
-    if (!narrow) roomBelow(false);
     let square = narrow ? SIDE_NARROW_PX : SIDE_PX;
     const most = bench ? Infinity : Math.min(MOST_PX, Math.max(window.innerHeight - AROUND_PX, 360));
     const size = (name, frame_width, frame_height) => this.resize(name, { frame_width, frame_height });
+    classes.toggle("opnav-narrow", narrow);
     if (this.setup.strip) {
+      classes.remove("opnav-slim", "opnav-wide");
       const frame = Math.round(Math.min(width - axis_x - ZOOM_PX - 10, 1200));
       const height = Math.round(Math.min(frame / STRIP_SHAPE, room - square - 60));
       size("opnav-picture", Math.max(frame, 200), Math.max(height, 120));
@@ -395,14 +392,14 @@ class ImagePage extends ImageCursor {
       size("opnav-panner", Math.max(frame, 200), thin);
     } else {
       const usual = narrow ? Math.max(slim, tall) : wide;
-      const beside = bench ? Math.min(width - axis_x - ZOOM_PX - COLUMN_PX, outer.clientHeight - axis_y - 6) : 0;
+      const beside = bench ? Math.min(width - axis_x - ZOOM_PX - COLUMN_PX, height - axis_y - 6) : 0;
       classes.toggle("opnav-wide", beside > usual);
       classes.toggle("opnav-slim", narrow && slim > tall && beside <= usual);
       const frame = Math.round(Math.max(Math.min(Math.max(usual, beside), most), 180));
       const across = beside > usual ? width - axis_x - ZOOM_PX - COLUMN_PX : width - axis_x - ZOOM_PX - (narrow ? 10 + (classes.contains("opnav-slim") ? SIDE_NARROW_PX - ZOOM_PX : 0) : SIDE_PX + 86);
       const each = this.second.isBeside ? Math.max(Math.floor((Math.max(across, frame) - GAP_PX) / 2), 120) : frame;
       size("opnav-picture", each, frame);
-      if (beside > usual) square = SIDE_WIDE_PX;
+      if (beside > usual) square = SIDE_NARROW_PX;
       size("opnav-panner", square, square);
     }
     const { frame_width, frame_height } = this.model("opnav-picture");
@@ -415,6 +412,39 @@ class ImagePage extends ImageCursor {
     quiet(panner.x_range, { start: n_pixel / 2 - 0.5 - longest[0] / 2, end: n_pixel / 2 - 0.5 + longest[0] / 2 });
     quiet(panner.y_range, { start: n_line / 2 - 0.5 + longest[1] / 2, end: n_line / 2 - 0.5 - longest[1] / 2 });
     this.square();
+    this.fitted = { width, height };
+  }
+
+  // Height of both bars across so much room; asked of the page once, as it has to be laid out for the answer.
+  barsHeight(width, narrow) {
+    this.bars ??= new Map();
+    const key = `${width} ${narrow}`;
+    if (!this.bars.has(key)) {
+      const { box } = this.layout;
+      const shown = box.className;
+      box.classList.remove("opnav-slim", "opnav-wide");
+      box.classList.toggle("opnav-narrow", narrow);
+      this.bars.set(key, this.barsNow());
+      box.className = shown;
+    }
+    return this.bars.get(key);
+  }
+
+  barsNow() {
+    return this.layout.bar.offsetHeight + this.layout.switches.offsetHeight;
+  }
+
+  // Whether the frame's size still follows from the room and the bars; where these have changed, they are asked anew.
+  fits() {
+    const { clientWidth, clientHeight } = this.page.root.parentElement;
+    if (!this.fitted || clientWidth !== this.fitted.width || clientHeight !== this.fitted.height) return false;
+    const classes = this.layout.box.classList;
+    const now = this.barsNow();
+    if (classes.contains("opnav-wide")) this.fitted.beside ??= now; // they stand beside the picture, and take nothing
+    const known = this.fitted.beside ?? this.bars?.get(`${clientWidth} ${classes.contains("opnav-narrow")}`);
+    if (now === known) return true;
+    this.bars?.clear();
+    return false;
   }
 
   // BokehJS lays a figure out and paints it at each property that changes: once for both sides here.
@@ -422,8 +452,15 @@ class ImagePage extends ImageCursor {
     const model = this.model(name);
     if (Object.entries(sides).every(([side, px]) => model[side] === px)) return;
     model.setv(sides, { silent: true });
+    const view = this.page.views?.get_by_id(model.id);
+    if (!view) return;
     quiet(model, { hold_render: true }); // it would paint what is painted anew at once
-    this.page.views?.get_by_id(model.id)?.invalidate_layout();
+    const frame = view.layout?.center_panel;
+    // Where it has been laid out, only its frame changes: to lay it out anew puts each of its parts into the page again.
+    if (frame?.set_sizing) {
+      frame.set_sizing({ width_policy: "fixed", width: model.frame_width, height_policy: "fixed", height: model.frame_height });
+      view.compute_layout();
+    } else view.invalidate_layout();
     quiet(model, { hold_render: false });
   }
 

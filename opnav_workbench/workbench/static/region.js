@@ -157,7 +157,9 @@ class Room {
 
   show() {
     const { root, kept } = this;
+    const back = root.classList.contains("ow-no-panel") && !kept.folded.includes("panel");
     for (const part of ["panel", "list"]) root.classList.toggle(`ow-no-${part}`, kept.folded.includes(part));
+    if (back) requestAnimationFrame(() => root.querySelector(".ow-panel [data-reveal]")?.scrollIntoView({ block: "nearest" }));
     root.style.setProperty("--ow-panel-px", `${kept.panel}px`);
     root.dispatchEvent(new CustomEvent("opnav-room")); // the picture fits itself into it
     try {
@@ -329,8 +331,14 @@ function render({ model, el }) {
     const lost = root()?.contains(document.activeElement);
     morph(body, wanted);
     if (lost && !root().contains(document.activeElement)) root().focus({ preventScroll: true });
+    count();
     body.querySelector("[data-reveal]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
     el.dispatchEvent(new CustomEvent("ow-painted", { bubbles: true }));
+  };
+  // A class of the root's: with `:has` the browser would look at all the workbench at each change of anything in it.
+  const count = () => {
+    const list = body.querySelector(".queue");
+    if (list) root()?.classList.toggle("ow-one", list.dataset.count === "1");
   };
   const keys = () => {
     const shell = root();
@@ -350,6 +358,7 @@ function render({ model, el }) {
     shell = root();
     if (!shell) return setTimeout(attached, 50); // the box that holds the regions is not in the page yet
     keys();
+    count();
     if (model.get("keymap").length) adopt(shell, post);
   };
   attached();
