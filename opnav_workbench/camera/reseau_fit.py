@@ -18,6 +18,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.camera.distortion import SipDistortion
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.reseau import FEWEST_MARKS
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CameraError
 
 __all__ = ["ReseauFit", "fit_reseau"]
@@ -90,7 +91,7 @@ def fit_reseau(camera: Camera, image_dn: FloatArray) -> ReseauFit:
     for _ in range(2):  # the second time without outliers
         change = _change(camera, reseau.marks_px, again, seen)
         off = again - reseau.marks_px - change(reseau.marks_px)
-        scale = 1.4826 * np.median(np.abs(off[seen]))
+        scale = MAD_TO_SIGMA * np.median(np.abs(off[seen]))
         seen = seen & (np.abs(off).max(axis=1) < OUTLIER_SIGMAS * max(scale, 1e-3))
     places = np.where(seen[:, None], again, reseau.marks_px + change(reseau.marks_px))
     solved, used = _solved(camera, places, seen)
@@ -106,7 +107,7 @@ def _solved(camera: Camera, places: FloatArray, seen: BoolArray) -> tuple[Camera
         weight = np.where(used, 1.0, np.where(seen, REJECTED_WEIGHT, UNSEEN_WEIGHT))
         solved = replace(camera, distortion=_lens(camera, places, camera.reseau.ideal_mm, weight))
         off = np.abs(_off(solved, places)).max(axis=1)
-        scale = 1.4826 * np.median(off[used])
+        scale = MAD_TO_SIGMA * np.median(off[used])
         used = seen & (off < OUTLIER_SIGMAS * scale)
     return solved, used
 
@@ -123,7 +124,7 @@ def _contrast(image: FloatArray) -> tuple[FloatArray, float]:
     smooth = scipy.ndimage.gaussian_filter(np.nan_to_num(image), MARK_SIGMA_PX, mode="nearest")
     dark = scipy.ndimage.grey_closing(smooth, size=(WIDER_PX, WIDER_PX), mode="nearest") - smooth
     dark -= np.median(dark)
-    return dark, float(1.4826 * np.median(np.abs(dark))) or 1e-6
+    return dark, float(MAD_TO_SIGMA * np.median(np.abs(dark))) or 1e-6
 
 
 def _sought(contrast: FloatArray, places: FloatArray, reach: int) -> tuple[FloatArray, FloatArray]:
