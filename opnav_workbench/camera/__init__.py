@@ -8,6 +8,10 @@ Enter by `Camera`: `Camera.from_yaml` for a camera file, `Camera.from_ik` for a 
     The distortion models, one direction as published, the other by Newton's method, and how far each holds.
 ``lens_models``
     More of them: radial as in ISIS, polynomials, fisheye, CAHVOR.
+``reseau``
+    Marks on a vidicon's faceplate.
+``reseau_fit``
+    The distortion of a raw vidicon picture, from its marks.
 ``response``
     `CameraResponse`: what a camera makes of light; magnitudes to electrons.
 ``rows``

@@ -109,8 +109,8 @@ def test_ten_mottled_maps(pluto):
 @pytest.mark.slow
 @pytest.mark.realdata
 def test_the_published_map_of_hubble(pluto, data_dir):
-    """The pattern of Buie et al. (2010), stretched to albedos 0.1 to 0.8, at two longitudes."""
+    """The pattern of Buie et al. (2010), stretched to albedos 0.1 to 0.8, at four longitudes."""
     with Image.open(data_dir / "maps" / "hs-2010-06-g-full_jpg.jpg") as published:
         gray = np.asarray(published.convert("L").resize((768, 384))) / 255.0
-    maps = [AlbedoMap(0.1 + 0.7 * gray, first_longitude_deg=east) for east in (0.0, 90.0)]
+    maps = [AlbedoMap(0.1 + 0.7 * gray, first_longitude_deg=east) for east in (0.0, 90.0, 180.0, 270.0)]
     _check(*_table(pluto, maps))

@@ -19,6 +19,7 @@ from opnav_workbench.camera import (
     OwenDistortion,
     RadialDistortion,
     RationalDistortion,
+    Reseau,
     SipDistortion,
     TaylorDistortion,
 )
@@ -118,6 +119,9 @@ def assert_same(again, camera):
         value, other = getattr(camera, field.name), getattr(again, field.name)
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(other, value, err_msg=field.name)
+        elif isinstance(value, Reseau):
+            np.testing.assert_array_equal(other.marks_px, value.marks_px)
+            np.testing.assert_array_equal(other.ideal_mm, value.ideal_mm)
         elif field.name not in ("distortion", "bandpass", "psf_shape"):
             assert other == value, field.name
     assert type(again.distortion) is type(camera.distortion)
