@@ -374,7 +374,8 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     assert 90 not in boxed
     hand.press("y")
     nb.until(
-        f"bench.session.state.scan_choices.get('PLUTO') is None or {CHOICE}.numbers is None",
+        f"(bench.session.state.scan_choices.get('PLUTO') is None or {CHOICE}.numbers is None)"
+        " and bench.controller.runner.running is None",  # what a step says at its end would stand over what a tool asks
         timeout_s=60.0,
     )
 
