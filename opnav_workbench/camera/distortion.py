@@ -39,6 +39,8 @@ __all__ = [
     "OwenDistortion",
     "SipDistortion",
     "reach_mm",
+    "sip_powers",
+    "sip_terms",
 ]
 
 
@@ -435,9 +437,23 @@ def _coefficient_matrix(coefficients: SipCoefficients) -> FloatArray:
     return matrix
 
 
+def sip_powers(order: int) -> list[tuple[int, int]]:
+    """Return the powers of pixel and line offset that SIP polynomials of an order have."""
+    return [(p, q) for p in range(order + 1) for q in range(order + 1 - p)]
+
+
+def sip_terms(offsets: FloatArray, order: int) -> FloatArray:
+    """Return the terms (n, k) of SIP polynomials at offsets (n, 2), in the order of `sip_powers`."""
+    u, v = offsets.T
+    return np.stack([u**p * v**q for p, q in sip_powers(order)], axis=1)
+
+
 def _sip_coefficients(keywords: Mapping[str, Any], name: str) -> dict[tuple[int, int], float]:
-    powers = [(p, q) for p in range(SIP_MAX_ORDER + 1) for q in range(SIP_MAX_ORDER + 1 - p)]
-    found = {(p, q): float(keywords[f"{name}_{p}_{q}"]) for p, q in powers if f"{name}_{p}_{q}" in keywords}
+    found = {
+        (p, q): float(keywords[f"{name}_{p}_{q}"])
+        for p, q in sip_powers(SIP_MAX_ORDER)
+        if f"{name}_{p}_{q}" in keywords
+    }
     if not found:
         raise CameraError(
             f"no SIP coefficients {name}_p_q among these keywords; take a header whose CTYPE ends in -SIP."

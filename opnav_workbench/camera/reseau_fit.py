@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.camera.distortion import SipDistortion
+from opnav_workbench.camera.distortion import SipDistortion, sip_powers, sip_terms
 from opnav_workbench.camera.model import Camera
 from opnav_workbench.camera.reseau import FEWEST_MARKS
 from opnav_workbench.constants import MAD_TO_SIGMA
@@ -152,12 +152,6 @@ def _vertex(box: FloatArray) -> FloatArray:
     return np.array(steps)
 
 
-def _terms(uv: FloatArray, degree: int) -> FloatArray:
-    return np.column_stack(
-        [uv[:, 0] ** p * uv[:, 1] ** q for p in range(degree + 1) for q in range(degree + 1 - p)]
-    )
-
-
 def _change(
     camera: Camera, nominal: FloatArray, found: FloatArray, use: BoolArray
 ) -> Callable[[FloatArray], FloatArray]:
@@ -165,7 +159,7 @@ def _change(
     middle, half = 0.5 * np.array([camera.n_pixel, camera.n_line]), 0.5 * camera.n_pixel
 
     def terms(places: FloatArray) -> FloatArray:
-        return _terms((places - middle) / half, CHANGE_DEGREE)
+        return sip_terms((places - middle) / half, CHANGE_DEGREE)
 
     factors = np.linalg.lstsq(terms(nominal[use]), (found - nominal)[use], rcond=None)[0]
     return lambda places: np.asarray(terms(places) @ factors)
@@ -177,11 +171,10 @@ def _lens(camera: Camera, places: FloatArray, ideal_mm: FloatArray, weight: Floa
     scale = float(np.abs(ideal_px).max())
     moved = places - camera.center_pixel_line - ideal_px
     factors = np.linalg.lstsq(
-        _terms(ideal_px / scale, DEGREE) * weight[:, None], moved * weight[:, None], rcond=None
+        sip_terms(ideal_px / scale, DEGREE) * weight[:, None], moved * weight[:, None], rcond=None
     )[0]
-    powers = [(p, q) for p in range(DEGREE + 1) for q in range(DEGREE + 1 - p)]
     along, down = (
-        {pq: float(f / scale ** sum(pq)) for pq, f in zip(powers, column, strict=True)}
+        {pq: float(f / scale ** sum(pq)) for pq, f in zip(sip_powers(DEGREE), column, strict=True)}
         for column in factors.T
     )
     return SipDistortion.from_coefficients(camera.pixel_from_mm, along, down)

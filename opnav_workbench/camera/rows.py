@@ -23,6 +23,7 @@ from typing import TypeAlias
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.errors import CameraError
@@ -131,9 +132,13 @@ class RowSweep:
             spread=None if self.spread is None else turned @ self.spread @ turned.T,
         )
 
+    def times_s(self, line: ArrayLike) -> FloatArray:
+        """Return the times (...,), s from that of the picture, at which lines (...,) are exposed."""
+        return np.asarray((np.asarray(line, dtype=np.float64) - self.middle_line) * self.line_time_s)
+
     def turns(self, line: FloatArray) -> FloatArray:
         """Return ``camera(line's time) from camera(0)``, (..., 3, 3), at lines (...,); with `spread`, no rotation alone."""
-        time = (np.asarray(line) - self.middle_line) * self.line_time_s
+        time = self.times_s(line)
         known = np.clip(time, self.time_s[0], self.time_s[-1])
         beyond = np.nan_to_num(time - known)[..., None]
         vector = self._spline(known) + self._spline(known, 1) * beyond

@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from threading import Timer
 from types import FrameType
 
 from rich.console import Console
@@ -105,7 +104,7 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
         if isinstance(what.exc_value, Terminated):
             number = what.exc_value.status - 128
             signal.signal(number, end)
-            Timer(AGAIN_S, _tell_main_thread, (number,)).start()
+            threading.Timer(AGAIN_S, _tell_main_thread, (number,)).start()
         else:
             tell(what)
 

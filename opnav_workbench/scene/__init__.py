@@ -23,6 +23,7 @@ from opnav_workbench.lazy_names import names_on_demand
 from opnav_workbench.scene.following import (
     following,
     seen_at_its_lines,
+    sweep_of,
     turned_meanwhile,
     with_aberration,
     with_course,
@@ -95,6 +96,7 @@ __all__ = [
     "predict_stars",
     "seen_at_its_lines",
     "star_target_at",
+    "sweep_of",
     "turned_meanwhile",
     "unknown_observer",
     "with_aberration",

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.camera import Camera
+from opnav_workbench.camera import Camera, RowSweep, row_sweep
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import KernelError
 from opnav_workbench.geometry import (
@@ -36,7 +36,14 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.targets import TargetState
 
-__all__ = ["following", "seen_at_its_lines", "turned_meanwhile", "with_aberration", "with_course"]
+__all__ = [
+    "following",
+    "seen_at_its_lines",
+    "sweep_of",
+    "turned_meanwhile",
+    "with_aberration",
+    "with_course",
+]
 
 STILL_PX = 1e-4  # less motion over the whole picture is none
 LIMB_POINTS = 16
@@ -229,6 +236,28 @@ def with_aberration(
     return turned
 
 
+def sweep_of(
+    camera: Camera,
+    attitude_at: Callable[[float], FloatArray],
+    velocity_at: Callable[[float], FloatArray],
+) -> RowSweep:
+    """Return how a camera with rows turns while they are exposed, `with_aberration` of the velocity then.
+
+    Parameters
+    ----------
+    attitude_at, velocity_at
+        As of `with_aberration`.
+
+    Raises
+    ------
+    CameraError
+        The picture is a line scan, and the camera does not move.
+    """
+    assert camera.rows is not None
+    seen = with_aberration(camera, 0.5 * camera.rows.span_s(camera.n_line), attitude_at, velocity_at)
+    return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, seen)
+
+
 def seen_at_its_lines(
     camera: Camera, target: TargetState, observer_velocity_km_s: ArrayLike, camera_from_j2000: ArrayLike
 ) -> TargetState:
@@ -240,7 +269,7 @@ def seen_at_its_lines(
     line = float(seen.project(np.asarray(camera_from_j2000) @ start)[1])
     if not -0.5 <= line <= camera.n_line - 0.5:
         return target
-    return target.at_time((line - camera.sweep.middle_line) * camera.sweep.line_time_s)
+    return target.at_time(float(camera.sweep.times_s(line)))
 
 
 def turned_meanwhile(
@@ -260,7 +289,7 @@ def turned_meanwhile(
     lines = np.clip(limb[np.isfinite(limb)], 0.0, camera.n_line - 1.0)
     if not len(lines):
         return 0.0, 0.0
-    half_s = float(np.abs((lines - sweep.middle_line) * sweep.line_time_s - body.epoch_s).max())
+    half_s = float(np.abs(sweep.times_s(lines) - body.epoch_s).max())
     places, turned = body.along_course(body.epoch_s + half_s * np.array([-1.0, 1.0]))
     carried = rotation_from_vector(least_turn(body.direction, unit(places)))
     ways = vector_from_rotation(np.swapaxes(carried, -1, -2) @ rotation_from_vector(turned))

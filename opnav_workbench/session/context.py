@@ -172,6 +172,9 @@ def with_focal_scale(camera: Camera, scale: float) -> Camera:
     return camera if scale == 1.0 else replace(camera, focal_length_mm=camera.focal_length_mm * scale)
 
 
+NOMINAL_PX = 3  # c4400436's marks stand 1 to 3 px from their nominal places, 9 in a corner
+
+
 def _by_its_marks(picture: Picture, camera: Camera) -> tuple[Picture, Camera]:
     """Return a raw vidicon picture without what its reseau marks hide, and the camera with the distortion that they tell."""
     fit = fit_reseau(camera, picture.image_dn)
@@ -190,9 +193,6 @@ def _by_its_marks(picture: Picture, camera: Camera) -> tuple[Picture, Camera]:
     return replace(
         picture, messages=(*picture.messages, doubt), contradictions=(*picture.contradictions, doubt)
     ), camera
-
-
-NOMINAL_PX = 3  # c4400436's marks stand 1 to 3 px from their nominal places, 9 in a corner
 
 
 def _check_size(picture: Picture, camera: Camera) -> None:

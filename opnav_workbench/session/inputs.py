@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.camera import Camera, RowSweep, row_sweep
+from opnav_workbench.camera import Camera, RowSweep
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog, read_star_list
 from opnav_workbench.errors import ImageError, KernelError, OpNavError, SessionError
 from opnav_workbench.geometry import radec_from_unit
@@ -37,8 +37,8 @@ from opnav_workbench.scene import (
     observer_from_header,
     observer_from_kernels,
     star_target_at,
+    sweep_of,
     unknown_observer,
-    with_aberration,
     with_course,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
@@ -433,10 +433,7 @@ def _sweep(context: Context, et: float, observer: Observer) -> tuple[RowSweep | 
         return observer_from_kernels(context.mission.spacecraft_id, et + time_s).velocity_km_s
 
     try:
-        half_s = 0.5 * camera.rows.span_s(camera.n_line)
-        attitude_at = with_aberration(camera, half_s, attitude, velocity)
-        sweep = row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude_at)
-        return sweep, _bridged(camera, et)
+        return sweep_of(camera, attitude, velocity), _bridged(camera, et)
     except KernelError as error:
         if camera.rows.scans:
             raise KernelError(

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.camera import Camera, RowSweep, row_sweep
+from opnav_workbench.camera import Camera, RowSweep
 from opnav_workbench.catalog import Catalog, StarTable, open_catalog
 from opnav_workbench.geometry import apparent_direction, radec_from_unit
 from opnav_workbench.kernels import body_id, camera_attitude, et_from_utc
 from opnav_workbench.mission import Mission, load_mission
 from opnav_workbench.psf import GaussianPsf, Psf
 from opnav_workbench.render import BodyModel
-from opnav_workbench.scene import Observer, with_aberration, with_course
+from opnav_workbench.scene import Observer, sweep_of, with_course
 from opnav_workbench.simulation.attitude_path import (
     STEP_PX,
     STILL_PX,
@@ -243,9 +243,7 @@ class OpenedScenario:
                     self.mission.spacecraft_id, et + time_s, self.scenario.perturbations
                 ).velocity_km_s
 
-            half_s = 0.5 * camera.rows.span_s(camera.n_line)
-            attitude_at = with_aberration(camera, half_s, attitude, velocity)
-            return row_sweep(camera.rows, camera.n_line, camera.pixel_scale_rad, attitude_at)
+            return sweep_of(camera, attitude, velocity)
 
     def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
         ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))

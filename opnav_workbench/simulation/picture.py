@@ -8,7 +8,7 @@ needed. Stars are points, or trails where the camera moves: boxes of the PSF's s
 to the electrons in place.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -346,7 +346,7 @@ def _bodies(inputs: PictureInputs, optics: Camera, observer: Observer) -> Render
         optics,
         inputs.path.middle,
         observer.velocity_km_s,
-        psf=[_smeared(inputs.psf, track) for track in _body_tracks(inputs)],
+        psf=_body_psfs(inputs),
         sunlight_e=inputs.camera.sunlight_e(inputs.exposure_s),
     )
 
@@ -364,12 +364,12 @@ def _swept_bodies(
     inputs: PictureInputs, optics: Camera, observer: Observer, directions: FloatArray
 ) -> tuple[Rendering, BoolArray]:
     """Draw the bodies, each as the camera sees it move, turn and show another side; and tell which stars (n,) they hide."""
-    attitude = inputs.path.middle
+    attitude, psfs = inputs.path.middle, _body_psfs(inputs)
     places = optics.standing(attitude).project(directions @ attitude.T)
     drawn, hidden = [], np.zeros(len(directions), dtype=bool)
     for index, model in enumerate(inputs.bodies):
         at = _drawing_times_s(optics, model.target, observer, attitude)
-        drawn.append(_over_its_lines(inputs, optics, observer, index, at))
+        drawn.append(_over_its_lines(inputs, optics, observer, psfs, index, at))
         middle = model.target.at_time(float(np.median(at)))
         seen = following(optics, middle, observer.velocity_km_s, attitude).unproject(places)
         known = np.isfinite(seen[:, 0])
@@ -396,13 +396,17 @@ def _drawing_times_s(
 
 
 def _over_its_lines(
-    inputs: PictureInputs, optics: Camera, observer: Observer, index: int, times_s: FloatArray
+    inputs: PictureInputs,
+    optics: Camera,
+    observer: Observer,
+    psfs: Sequence[Psf],
+    index: int,
+    times_s: FloatArray,
 ) -> Rendering:
     """Draw one body at some times, mixed by the times of the lines; what is told of it is of the middle drawing."""
     assert optics.sweep is not None
-    psfs = [_smeared(inputs.psf, track) for track in _body_tracks(inputs)]
-    line_s = (np.arange(optics.n_line) - optics.sweep.middle_line) * optics.sweep.line_time_s
-    electrons, drawings = np.zeros((optics.n_line, optics.n_pixel)), []
+    line_s = optics.sweep.times_s(np.arange(optics.n_line))
+    electrons = np.zeros((optics.n_line, optics.n_pixel))
     for number, time_s in enumerate(times_s):
         models = [replace(model, target=model.target.at_time(float(time_s))) for model in inputs.bodies]
         followed = models[index].target
@@ -418,8 +422,14 @@ def _over_its_lines(
         electrons += (
             np.interp(line_s, times_s, np.arange(len(times_s)) == number)[:, None] * drawing.electrons
         )
-        drawings.append(drawing)
-    return replace(drawings[len(drawings) // 2], electrons=electrons)
+        if number == len(times_s) // 2:
+            middle = drawing
+    return replace(middle, electrons=electrons)
+
+
+def _body_psfs(inputs: PictureInputs) -> list[Psf]:
+    """Return each body's PSF, smeared by its own way."""
+    return [_smeared(inputs.psf, track) for track in _body_tracks(inputs)]
 
 
 def _smeared(psf: Psf, track_px: FloatArray) -> Psf:

@@ -7,6 +7,7 @@ from astropy.io import fits
 from astropy.wcs import WCS, Sip
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.camera.distortion import sip_powers, sip_terms
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, write_text
 from opnav_workbench.geometry import geometric_direction, radec_from_unit
@@ -115,11 +116,9 @@ def _polynomial(
 
     With `least` 0 the first powers count among the others, as a SIP's inverse has them.
     """
-    powers = [(p, q) for p in range(SIP_DEGREE + 1) for q in range(SIP_DEGREE + 1 - p)]
-    u, v = (places / scale).T
-    fitted = np.linalg.lstsq(np.stack([u**p * v**q for p, q in powers], axis=1), values, rcond=None)[0]
+    fitted = np.linalg.lstsq(sip_terms(places / scale, SIP_DEGREE), values, rcond=None)[0]
     table = np.zeros((2, SIP_DEGREE + 1, SIP_DEGREE + 1))
-    for (p, q), pair in zip(powers, fitted, strict=True):
+    for (p, q), pair in zip(sip_powers(SIP_DEGREE), fitted, strict=True):
         table[:, p, q] = pair / scale ** (p + q)
     straight = np.stack([table[:, 1, 0], table[:, 0, 1]], axis=1)
     if least:

@@ -238,9 +238,8 @@ class LimbSystem:
         mixed = mixed_solution(normal, right, self.scales, least)
         return _MarginalEquations(field, spread, factor, normal, right, whole, mixed)
 
-    def log_likelihood(self, prior: FieldPrior, cells: WeighedCells | None = None) -> float:
-        """Return that of a prior, marginal over everything; `cells` weighed by its grain save weighing them anew."""
-        cells = cells or self.weighed(prior.grain)
+    def log_likelihood(self, prior: FieldPrior, cells: WeighedCells) -> float:
+        """Return that of a prior, marginal over everything; `cells` are weighed by its grain."""
         return self._marginal(prior, cells).log_likelihood(cells)
 
     def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
