@@ -87,9 +87,11 @@ LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 SHADING_SCALES = (4.0, 1.0, 0.2)  # surfaces lean by more, or by less, than their axes say
-MOST_STRAIN, MOST_LAW = 0.02, 0.2  # a step: as far as their derivatives reach
+# A step: as far as their derivatives reach. Light is linear in the share of a law, so that is taken whole.
+MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
+LEAST_BRIGHT = 0.5  # of light without what a law adds to it
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
-WORSE = 1.1  # chi-squared may become so by light that is tabulated anew
+HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
@@ -100,13 +102,16 @@ GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights c
 class Changes(NamedTuple):
     """Of a shape, from which on its light is tabulated anew; that of the blur in shares of the PSF's variance."""
 
-    law: float
+    share: float
+    power: float
     size: float
     strain: float
     blur: float
 
 
-NEW, LAST = Changes(0.12, 0.01, 0.01, 0.1), Changes(0.04, 0.004, 0.006, 0.05)
+# Light is linear in the share, but for an albedo that is on it: what counts is the product of both.
+NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.006, 0.05)
+EVEN_ALBEDO = 0.05  # and noise changes with the share
 
 
 class Unknown(IntEnum):
@@ -351,8 +356,7 @@ def _columns_at(
         m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
         *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
     ]  # fmt: skip
-    half = TABLES + (len(tables) - TABLES) // 2
-    hats = tables[half:] if on_slopes else tables[TABLES:half]
+    hats = made.light.hats_of(tables, on_slopes=on_slopes)
     return np.concatenate([np.stack(columns), hats, np.stack([by_cos, by_sin, relief])])
 
 
@@ -429,7 +433,9 @@ class _DiskProblem:
         brightest = light.at(angle.ravel(), depth.ravel(), 1)[0].reshape(angle.shape).max(axis=1)
         return np.asarray(brightest > LIT_LIMB)
 
-    def tabulated(self, shape: DiskShape, *, fine: bool = False) -> TabulatedDisk:
+    def tabulated(
+        self, shape: DiskShape, *, fine: bool = False, on_slopes: bool | None = None
+    ) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
         strain = shape.strain if self.can_be_strained else np.zeros(5)
         picture = strained_picture(self.picture, self.name, strain)
@@ -438,8 +444,9 @@ class _DiskProblem:
         inward, outward = self.reach
         reach = (inward + 4.0, outward + 4.0)
         light = limb_light(
-            picture, self.name, outline, scale, reach, self.node_rad, shape.law, shape.blur_px2, fine=fine
-        )
+            picture, self.name, outline, scale, reach, self.node_rad, shape.law, shape.blur_px2,
+            fine=fine, on_slopes=on_slopes,
+        )  # fmt: skip
         return TabulatedDisk(shape, strain, silhouette, light, self._lit(light))
 
     def _prior_sigma(self) -> FloatArray:
@@ -547,6 +554,7 @@ class _Fitter:
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
+        self.likelihood = -np.inf
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
@@ -557,18 +565,19 @@ class _Fitter:
         self.tuning = TUNING if prior is None else ((),)
         self.shape = shape
         self.prior = prior or FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
-        self.made = problem.tabulated(shape)
+        self.made = problem.tabulated(shape, on_slopes=prior and prior.on_slopes)
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
     def run(self) -> DiskFit:
         self._solve()
-        for turn, steps in enumerate(self.tuning):
-            self._tune(steps, other_light=turn == 0)
+        self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
+        for steps in self.tuning:
+            self._tune(steps, other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
-                self._tabulate((1.0, 0.5, 0.0), fine=True)
+                self._tabulate(fine=True)
             self._tune(LAST_TUNING)
             self._iterate(MOST_TURNS)
             if not self._stale(LAST):
@@ -617,6 +626,7 @@ class _Fitter:
 
     def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
+        before = self.linear.solution.log_likelihood
         self._doubt()
         best, system = tuned(self.linear.system, self.prior, self.problem.rough_px, steps), self.linear.system
         uneven = max(best.prior.albedo, best.prior.grain) > EVEN  # else there is nothing to explain
@@ -630,6 +640,7 @@ class _Fitter:
                 self.linear = kept
         self.prior = best.prior
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
+        self.likelihood += self.linear.solution.log_likelihood - before
 
     def _doubt(self) -> None:
         """Let cells that no model reaches count as much as their residuals say (Huber's weights)."""
@@ -654,14 +665,13 @@ class _Fitter:
             length = self._step()
             self.lengths.append(length)
             passed.append(self.shape.center_px)
-            solution = self.linear.solution
-            if solution.held_cost < best.linear.solution.held_cost:
+            anew = not self.made.light.fine and self._stale(NEW) and self._tabulate(fine=False)
+            if anew or self.linear.solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
             fine = self.made.light.fine
             if length < self._slack_px(*((STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS))):
                 break
-        slack = LOST_SHARE * float(np.count_nonzero(np.isfinite(best.linear.system.variance)))
-        if self.linear.solution.held_cost > best.linear.solution.held_cost + slack:
+        if self.linear.solution.held_cost > best.linear.solution.held_cost + self._lost():
             last_px = self.shape.center_px
             self._return_to(best)
             self.wandered_px = best.shape.center_px - last_px
@@ -671,6 +681,10 @@ class _Fitter:
             self.unrest_px2 = _spread(passed[len(passed) // 2 :], self.shape.center_px)
             settled = self._slack_px(NEAR_PX, 1.0) ** 2 > float(np.trace(self.unrest_px2))
         self.converged = lit and settled
+
+    def _lost(self) -> float:
+        """Return by how much a cost may grow with new weights, or new tables, of the same fit."""
+        return LOST_SHARE * float(np.count_nonzero(np.isfinite(self.linear.system.variance)))
 
     def _state(self) -> _FitState:
         return _FitState(self.shape, self.brightness, self.piece_albedo, self.made, self.linear)
@@ -692,8 +706,6 @@ class _Fitter:
                 or length < STILL_PX
             ):
                 break
-        if not self.made.light.fine and self._stale(NEW):
-            self._tabulate_or_return()
         return length
 
     def _regrouping(self, length_px: float) -> float:
@@ -701,33 +713,30 @@ class _Fitter:
         cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
-    def _tabulate(self, shares: Sequence[float], *, fine: bool) -> bool:
-        """Tabulate the light of the shape; where that explains the pixels worse, go a part of the way from the last tables.
+    def _tabulate(self, *, fine: bool) -> bool:
+        """Tabulate the light of the shape; where that is less likely than the last tables were, of one half as far from them.
 
-        What tables are extrapolated to may be no light of any body. Where no share will do, it tells so and takes the best.
+        A law that tables are extrapolated to, with an albedo that is on the light they hold, may be no light of any body,
+        and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
         """
-        then, now, chi2 = self.made.shape, self.shape, self.linear.solution.chi2
-        found = []
-        for share in shares:
+        kept, then, now = self._state(), self.made.shape, self.shape
+        for share in HALFWAY:
             self.shape = replace(
                 now,
                 strain=then.strain + share * (now.strain - then.strain),
                 law=then.law + share * (now.law - then.law),
                 blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
-            self.made = self.problem.tabulated(self.shape, fine=fine)
+            self.made = self.problem.tabulated(self.shape, fine=fine, on_slopes=self.prior.on_slopes)
             self._solve()
-            if self.linear.solution.chi2 < WORSE * chi2 + GROWTH:
+            self._reweigh()
+            likelihood = self.linear.solution.log_likelihood
+            if likelihood > self.likelihood - 0.5 * self._lost():
+                self.likelihood = likelihood
                 return True
-            found.append(self._state())
-        self._return_to(min(found, key=lambda state: state.linear.solution.chi2))
-        return False
-
-    def _tabulate_or_return(self) -> None:
-        """Tabulate the light of the shape; where no part of the way explains the pixels, stay with the last tables."""
-        kept = self._state()
-        if not self._tabulate((1.0, 0.5), fine=False):
+        if not fine:
             self._return_to(kept)
+        return False
 
     def _return_to(self, state: _FitState) -> None:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
@@ -751,16 +760,24 @@ class _Fitter:
         limb_px = self._limb_moves_px(linear.system, np.concatenate([center, [size], strain[:2]]))
         bounds = (LONGEST_PX / max(limb_px, 1e-12), MOST_STRAIN / max(float(np.abs(strain[:2]).max()), 1e-12))
         part = most * min(1.0, *bounds)
-        law = np.clip(theta[SHARES], *self.problem.law_bounds)
+        law = np.clip(self._meant_law(linear), *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
             shape.strain + part * np.clip(strain, -MOST_STRAIN, MOST_STRAIN),
-            shape.law + most * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
-            self._bounded_blur(shape.blur_px2 + most * float(theta[Unknown.BLUR] - shape.blur_px2)),
+            shape.law + part * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
+            self._bounded_blur(shape.blur_px2 + part * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
         return part * float(np.hypot(*center))
+
+    def _meant_law(self, linear: _LinearDisk) -> FloatArray:
+        """Return the law (2,) that a solution means: in the share light is linear, but for the brightness that goes with it."""
+        theta, law = linear.solution.theta, self.made.shape.law
+        step = theta[SHARES] - law
+        whole = self._brightness(linear) / linear.system.brightness_dn
+        step[0] /= max(whole - float(step @ self.made.light.law_means), LEAST_BRIGHT)
+        return np.asarray(law + step)
 
     def _limb_moves_px(self, system: LimbSystem, step: FloatArray) -> float:
         """Return how far the limb moves at most, where it is seen, by a step (5,) of center, size and strain of the outline.
@@ -817,8 +834,9 @@ class _Fitter:
         strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
         blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)
-        law = float(np.abs(now.law - then.law).max())
-        return law > bounds.law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
+        share, power = np.abs(now.law - then.law)
+        law = share * max(self.prior.albedo, EVEN_ALBEDO) > bounds.share or power > bounds.power
+        return law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
     def _columns(self) -> tuple[LimbSamples, FloatArray]:
         problem, outline = self.problem, self.made.outline(self.shape)

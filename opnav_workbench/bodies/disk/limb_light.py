@@ -19,6 +19,7 @@ Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,16 +75,20 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (t, n, 14 + 2 k) array
+    tables : (t, n, 14 + k) or (t, n, 14 + 2 k) array
         First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
         axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
         shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
         plane, xx = -yy and xy; and the light of slopes that face the Sun, `RELIEF`. Then the light of each hat function
-        of the albedo, whose sum is the light; and that of the same hats on slopes that face the Sun.
+        of the albedo, whose sum is the light, and that of the same hats on slopes that face the Sun; or one of both.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
         Whether the directions are close enough, and worth, cubic interpolation.
+    law_means : (2,) array
+        Of the changes with the shares of the law, relative to the light: taken out of them, as they are brightness.
+    on_slopes
+        Which hats there are; None: both.
     """
 
     first_px: float
@@ -91,9 +96,18 @@ class LimbLight:
     tables: FloatArray
     node_rad: FloatArray
     fine: bool
+    law_means: FloatArray
+    on_slopes: bool | None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def hats_of(self, rows: FloatArray, *, on_slopes: bool) -> FloatArray:
+        """Return the light of the hats (k, m), on slopes that face the Sun or not, of what `at` returns (p, m)."""
+        if self.on_slopes not in (None, on_slopes):
+            raise ValueError("these tables hold the hats of the other light")
+        first, k = len(PLANES), len(self.node_rad)
+        return rows[first + k :] if on_slopes and self.on_slopes is None else rows[first : first + k]
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
         """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
@@ -154,6 +168,7 @@ def limb_light(
     blur_px2: float = 0.0,
     *,
     fine: bool = False,
+    on_slopes: bool | None = None,
 ) -> LimbLight:
     """Tabulate the light of a body about its outline.
 
@@ -171,6 +186,8 @@ def limb_light(
         Variance of the PSF along each axis, beyond its own.
     fine
         As the last solution needs it.
+    on_slopes
+        Which light the albedo is relative to; None: hats of both are tabulated.
     """
     step, fewest, most, apart = FINE if fine else COARSE
     if picture.phase_rad(name) > CRESCENT_RAD:
@@ -183,9 +200,12 @@ def limb_light(
     depth = np.arange(first, reach_px[1] + step, step)
     small = radius < PLANE_RADIUS_PX[int(fine)]
     build = _spread_in_plane if small else _spread_along_rays
-    tables = build(picture, model, outline, angle, depth, node_rad, law, blur_px2)
+    hatted = _Hats(node_rad, (0, -1) if on_slopes is None else (-int(on_slopes),))
+    tables = build(picture, model, outline, angle, depth, hatted, law, blur_px2)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
     total = tables[0]
+    law_means = tables[1:3].sum(axis=(1, 2)) / max(float(total.sum()), np.finfo(float).tiny)
+    tables[1:3] -= law_means[:, None, None] * total
     by_depth = np.gradient(total, step, axis=1)
     by_angle = (np.roll(total, -1, axis=0) - np.roll(total, 1, axis=0)) * (0.5 * directions / TURN)
     reach = np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
@@ -193,7 +213,15 @@ def limb_light(
     blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
-    return LimbLight(float(first), float(step), every.transpose(1, 2, 0).copy(), node_rad, fine)
+    kept = every.transpose(1, 2, 0).astype(np.float64)
+    return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes)
+
+
+class _Hats(NamedTuple):
+    """Nodes of the hats (k,), and the light that they are on: the first row of `_light_changes`, the last, or both."""
+
+    node_rad: FloatArray
+    rows: tuple[int, ...]
 
 
 def _sources(
@@ -204,13 +232,13 @@ def _sources(
     limb_px: FloatArray,
     rays_at: Callable[[FloatArray, IntArray], FloatArray],
     step_px: float,
-    node_rad: FloatArray,
+    hatted: _Hats,
     law: FloatArray,
-) -> FloatArray:
-    """Return the light before the PSF (1 + `LINEAR` + 2 k, ...) in cells of `step_px` at depths (...).
+) -> NDArray[np.float32]:
+    """Return the light before the PSF (1 + `LINEAR` + k or 2 k, ...) in cells of `step_px` at depths (...).
 
-    All of it, its change with the law, and that of each hat, on the light and on that of slopes that face the Sun. A cell
-    that the limb cuts has the light of the part inside. `limb_px` (...) is the distance of the limb from the center, and
+    All of it, its change with the law, and that of each hat, on each light that is asked for. A cell that the limb cuts has
+    the light of the part inside. Single precision is a thousandth of what the steps in depth leave, and half of the time. `limb_px` (...) is the distance of the limb from the center, and
     `rays_at` makes rays at shares of it, of cells numbered flat.
     """
     depth, limb = (
@@ -226,12 +254,13 @@ def _sources(
     within = np.clip(1.0 + node / limb[cells], 0.0, 1.0 - GRAZE)
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
     changes = _light_changes(picture, body, center_px, rays_at(within, cells), law)
-    parts = hats(within, node_rad)
-    rows = np.concatenate([changes, changes[0] * parts, changes[-1] * parts])
-    out = np.zeros((len(rows), depth.size))
+    parts = hats(within, hatted.node_rad)
+    rows = np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
+    rows[:, len(plain) :] *= weights.ravel()
+    out = np.zeros((len(rows), depth.size), dtype=np.float32)
     out[:, plain] = rows[:, : len(plain)]
-    out[:, rim] = np.einsum("pcn,cn->pc", rows[:, len(plain) :].reshape(len(rows), *nodes.shape), weights)
-    return (out * covered).reshape(len(rows), *depth_px.shape)
+    out[:, rim] = rows[:, len(plain) :].reshape(len(rows), *nodes.shape).sum(axis=2) * covered[rim]
+    return out.reshape(len(rows), *depth_px.shape)
 
 
 def _rim_nodes(depth_px: FloatArray, step_px: float) -> tuple[FloatArray, FloatArray]:
@@ -263,7 +292,7 @@ def _light_changes(
     light = plain * (float(np.sum(shine, where=lit)) / total)  # the brightness is another unknown
     mixed = _of_mixture(mu0, mu, share + law[0])
     changes = [(_seeliger(mu0, mu) - 1.0) / mixed, np.log(np.maximum(mu0, DARKEST) * np.maximum(mu, DARKEST))]
-    rows = [light, *(light * (change - float(change @ plain) / total) for change in changes)]
+    rows = [light, *(light * change for change in changes)]
     value = _law_value(body, mu0, mu, law)
     by_mu0, by_mu = _slopes(body, mu0, mu, law, value)
     scale = np.where(lit, light / np.maximum(value, 1e-9), 0.0)
@@ -376,10 +405,10 @@ def _spread_along_rays(
     outline: Outline,
     angle: FloatArray,
     depth: FloatArray,
-    node_rad: FloatArray,
+    hatted: _Hats,
     law: FloatArray,
     blur_px2: float,
-) -> FloatArray:
+) -> NDArray[np.floating]:
     limb = outline.radius(angle)
     slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
     step = float(depth[1] - depth[0])
@@ -393,16 +422,16 @@ def _spread_along_rays(
         return fan.at(cells // len(fine), within)
 
     depths = np.broadcast_to(fine, share.shape)
-    sources = _sources(picture, model, outline.center_px, depths, limb[:, None], rays_at, step, node_rad, law)
+    sources = _sources(picture, model, outline.center_px, depths, limb[:, None], rays_at, step, hatted, law)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
     variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
-    sources = fft.irfft(fft.rfft(sources, axis=1) * wave[:, None], t, axis=1)
+    sources = fft.irfft(fft.rfft(sources, axis=1) * wave.astype(np.float32)[:, None], t, axis=1)
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
-    spread = fft.rfft(spreads[:, ::-1], good) * blurred
+    spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)
     spectrum = fft.rfft(sources, good) * spread
     return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
 
@@ -476,10 +505,10 @@ def _spread_in_plane(
     outline: Outline,
     angle: FloatArray,
     depth: FloatArray,
-    node_rad: FloatArray,
+    hatted: _Hats,
     law: FloatArray,
     blur_px2: float,
-) -> FloatArray:
+) -> NDArray[np.floating]:
     psf, step = picture.psf.at(outline.center_px), PLANE_STEPS * float(depth[1] - depth[0])
     per_px = round(1.0 / step)
     half = int(np.ceil((float(outline.radius_px.max()) + 2.0) / step))
@@ -493,14 +522,14 @@ def _spread_in_plane(
         away = np.stack([flat_x[cells] * length, flat_y[cells] * length], axis=-1)
         return pixel_rays(picture, outline.center_px + away)
 
-    sources = _sources(picture, model, outline.center_px, reach - limb, limb, rays_at, step, node_rad, law)
+    sources = _sources(picture, model, outline.center_px, reach - limb, limb, rays_at, step, hatted, law)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
     size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
     wave = np.hypot(fft.fftfreq(size, step)[:, None], fft.rfftfreq(size, step)) * TURN
     gridded = step**2 * CELL_VARIANCE + (depth[1] - depth[0]) ** 2 * LINEAR_VARIANCE
     spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2 - gridded)
-    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread, (size, size))
+    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread.astype(np.complex64), (size, size))
     middle = half + len(cells) // 2  # of the body in the spread plane
     away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
     where = [
