@@ -146,7 +146,8 @@ STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
 ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), slice(-3, -1), -1
-MOVING = [*CENTER, *FIGURE, Unknown.BLUR, SHARED]  # columns of what moves with the limb
+# Columns of what moves with the limb, or lights it otherwise: as bright as it is there.
+LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, -3, -2, RELIEF]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,21 +285,28 @@ class DiskFit:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""
         return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
 
+    @property
+    def lit_dn(self) -> FloatArray:
+        """How bright the limb is at the angles of the pixels (n,), DN."""
+        angle = piece_angles(len(self.piece_albedo))
+        albedo = np.interp(np.mod(self.pixels.angle_rad, TURN), angle, self.piece_albedo, period=TURN)
+        return np.asarray(self.brightness_dn * albedo)
+
     def even_dn(self) -> FloatArray:
         """Return the light (n,) that the solution has at its pixels, DN, for a uniform albedo."""
-        return np.asarray(self.light_dn() + self._beyond_tables_dn())
+        return np.asarray(self.light_dn() + self._beyond_tables_dn(self.brightness_dn))
 
-    def _beyond_tables_dn(self) -> FloatArray:
+    def _beyond_tables_dn(self, lit_dn: FloatArray | float) -> FloatArray:
         beyond = self.solution.theta - self.tabulated
-        changing = [*SHARES, *SHADING, *STRAY, Unknown.BLUR]
-        shaded = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
-        return np.asarray(self.brightness_dn * shaded)
+        changing = [*SHARES, *SHADING, Unknown.BLUR]
+        local = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
+        return np.asarray(lit_dn * local + self.brightness_dn * (beyond[STRAY] @ self.columns[STRAY]))
 
     def model_dn(self) -> FloatArray:
         """Return what the solution expects (n,) at its pixels, DN."""
         theta = self.solution.theta
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
-        model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn()
+        model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn(self.lit_dn)
         j = len(self.piece_albedo)
         place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
         below = np.floor(place).astype(np.int64)
@@ -363,10 +371,8 @@ def _columns_at(
 def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
     """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
     out = columns.copy()
-    out[MOVING] *= lit_dn
-    out[[*SHARES, *SHADING, *STRAY]] *= brightness_dn
-    out[SHADED] *= brightness_dn
-    out[RELIEF] *= lit_dn
+    out[LOCAL] *= lit_dn
+    out[STRAY] *= brightness_dn
     return out
 
 
@@ -760,13 +766,16 @@ class _Fitter:
         limb_px = self._limb_moves_px(linear.system, np.concatenate([center, [size], strain[:2]]))
         bounds = (LONGEST_PX / max(limb_px, 1e-12), MOST_STRAIN / max(float(np.abs(strain[:2]).max()), 1e-12))
         part = most * min(1.0, *bounds)
+        # A limb that lies elsewhere tells nothing of the light yet.
+        near = part * (min(bounds) >= 1.0)
+        parts = np.array([part, part, near, near, near])
         law = np.clip(self._meant_law(linear), *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
-            shape.strain + part * np.clip(strain, -MOST_STRAIN, MOST_STRAIN),
-            shape.law + part * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
-            self._bounded_blur(shape.blur_px2 + part * float(theta[Unknown.BLUR] - shape.blur_px2)),
+            shape.strain + parts * np.clip(strain, -MOST_STRAIN, MOST_STRAIN),
+            shape.law + near * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
+            self._bounded_blur(shape.blur_px2 + near * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
         )
         return part * float(np.hypot(*center))

@@ -152,9 +152,7 @@ def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray
     near, columns = disk_columns(
         fit.made, shape, disk.pixels.use.shape, reach, on_slopes=fit.prior.on_slopes, rough=False
     )
-    light = replace(fit, pixels=near, columns=columns).even_dn()
-    angle = piece_angles(len(fit.piece_albedo))
-    lit = fit.brightness_dn * np.interp(near.angle_rad, angle, fit.piece_albedo, period=TURN)
-    dn = columns_dn(columns, fit.brightness_dn, lit)
+    here = replace(fit, pixels=near, columns=columns)
+    light, dn = here.even_dn(), columns_dn(columns, fit.brightness_dn, here.lit_dn)
     dn[FIGURE[1:]] += dn[SHADED]
     return near.index, np.concatenate([light[None], dn[SHARED][None], dn[COMMON], dn[ALBEDO]])
