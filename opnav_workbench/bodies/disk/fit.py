@@ -720,7 +720,7 @@ class _Fitter:
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
     def _tabulate(self, *, fine: bool) -> bool:
-        """Tabulate the light of the shape; where that is less likely than the last tables were, of one half as far from them.
+        """Tabulate the light of the shape; where that is less likely than the last tables were, go half as far from them.
 
         A law that tables are extrapolated to, with an albedo that is on the light they hold, may be no light of any body,
         and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
@@ -781,7 +781,7 @@ class _Fitter:
         return part * float(np.hypot(*center))
 
     def _meant_law(self, linear: _LinearDisk) -> FloatArray:
-        """Return the law (2,) that a solution means: in the share light is linear, but for the brightness that goes with it."""
+        """Return the law (2,) that a solution means: in the share light is linear, but for the brightness with it."""
         theta, law = linear.solution.theta, self.made.shape.law
         step = theta[SHARES] - law
         whole = self._brightness(linear) / linear.system.brightness_dn

@@ -17,7 +17,6 @@ Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies 
         albedo of a body varies over arcs of its surface, not over pixels.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.ndimage import map_coordinates
 
-from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes
@@ -53,7 +52,9 @@ SPREADS = 24  # directions in which the spread function is taken
 PLANE_RADIUS_PX = (15.0, 25.0)  # smaller disks are spread in two dimensions, coarse and fine
 PLANE_STEPS = 2  # of depth: the grid's
 GRAZE = 1e-6  # of the radius: no ray is taken nearer to the limb
-RIM_CELLS, RIM_NODES = 8, 3  # cells from the limb whose light is the mean over so many depths
+RIM_NODES = 3  # depths in a cell whose mean light it has
+# Between depths that light is asked for, in roots of steps, in which it is smooth: of plates and maps, and of others.
+ROOT_STEP = (0.05, 0.15)
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
 DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
 OTHER_SHARE = 0.5  # of Lommel-Seeliger in a law of another kind
@@ -224,43 +225,41 @@ class _Hats(NamedTuple):
     rows: tuple[int, ...]
 
 
-def _sources(
+def _light_rows(
     picture: BodyPicture,
     model: BodyModel,
     center_px: FloatArray,
-    depth_px: FloatArray,
-    limb_px: FloatArray,
-    rays_at: Callable[[FloatArray, IntArray], FloatArray],
-    step_px: float,
+    within: FloatArray,
+    rays: FloatArray,
     hatted: _Hats,
     law: FloatArray,
-) -> NDArray[np.float32]:
-    """Return the light before the PSF (1 + `LINEAR` + k or 2 k, ...) in cells of `step_px` at depths (...).
+) -> FloatArray:
+    """Return the light (1 + `LINEAR` + k or 2 k, n) along rays (3, n) at shares `within` (n,) of the limb's distance.
 
-    All of it, its change with the law, and that of each hat, on each light that is asked for. A cell that the limb cuts has
-    the light of the part inside. Single precision is a thousandth of what the steps in depth leave, and half of the time. `limb_px` (...) is the distance of the limb from the center, and
-    `rays_at` makes rays at shares of it, of cells numbered flat.
+    All of it, its change with the law, and that of each hat, on each light that is asked for.
     """
-    depth, limb = (
-        np.ascontiguousarray(np.broadcast_to(x, depth_px.shape)).ravel() for x in (depth_px, limb_px)
-    )
-    covered = np.clip(0.5 - depth / step_px, 0.0, 1.0)
-    inside = np.flatnonzero(covered > 0.0)
-    at_limb = depth[inside] > -RIM_CELLS * step_px
-    plain, rim = inside[~at_limb], inside[at_limb]
-    nodes, weights = _rim_nodes(depth[rim], step_px)
-    cells = np.concatenate([plain, np.repeat(rim, nodes.shape[1])])
-    node = np.concatenate([depth[plain], nodes.ravel()])
-    within = np.clip(1.0 + node / limb[cells], 0.0, 1.0 - GRAZE)
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
-    changes = _light_changes(picture, body, center_px, rays_at(within, cells), law)
+    changes = _light_changes(picture, body, center_px, rays, law)
     parts = hats(within, hatted.node_rad)
-    rows = np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
-    rows[:, len(plain) :] *= weights.ravel()
-    out = np.zeros((len(rows), depth.size), dtype=np.float32)
-    out[:, plain] = rows[:, : len(plain)]
-    out[:, rim] = rows[:, len(plain) :].reshape(len(rows), *nodes.shape).sum(axis=2) * covered[rim]
-    return out.reshape(len(rows), *depth_px.shape)
+    return np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
+
+
+def _cell_mean(depth_px: FloatArray, step_px: float, node: FloatArray) -> NDArray[np.float32]:
+    """Return what light at `node` (m,), roots of depths, gives to cells of `step_px` at depths (n,): weights (m, n).
+
+    A cell that the limb cuts has the light of the part inside.
+    """
+    out = np.zeros((len(node), len(depth_px)))
+    covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
+    inside = np.flatnonzero(covered > 0.0)
+    places, weights = _rim_nodes(depth_px[inside], step_px)
+    at = np.clip(np.sqrt(-places) / node[1], 0.0, len(node) - 1.0001)
+    below = at.astype(np.int64)
+    cells = np.broadcast_to(inside[:, None], at.shape)
+    share = weights * covered[inside, None]
+    np.add.at(out, (below, cells), share * (1.0 + below - at))
+    np.add.at(out, (below + 1, cells), share * (at - below))
+    return out.astype(np.float32)
 
 
 def _rim_nodes(depth_px: FloatArray, step_px: float) -> tuple[FloatArray, FloatArray]:
@@ -414,21 +413,21 @@ def _spread_along_rays(
     step = float(depth[1] - depth[0])
     spreads, half = _spreads(picture.psf.at(outline.center_px), angle, slope, float(np.mean(limb)), step)
     fine = depth[0] + step * np.arange(-half, len(depth) + half)
-    share = 1.0 + fine / limb[:, None]
-    lowest = float(np.clip(share.min(), 0.0, 1.0))
-    fan = RayFan(picture, outline.center_px, angle, limb, lowest)
-
-    def rays_at(within: FloatArray, cells: IntArray) -> FloatArray:
-        return fan.at(cells // len(fine), within)
-
-    depths = np.broadcast_to(fine, share.shape)
-    sources = _sources(picture, model, outline.center_px, depths, limb[:, None], rays_at, step, hatted, law)
+    deepest = min(0.5 * step - float(fine[0]), float(limb.min()))
+    smooth = model.shape is None and isinstance(model.albedo, float | int)
+    apart = ROOT_STEP[smooth] * float(np.sqrt(step))
+    node = apart * np.arange(int(np.sqrt(deepest) / apart) + 2)
+    within = np.clip(1.0 - node**2 / limb[:, None], 0.0, 1.0 - GRAZE)
+    fan = RayFan(picture, outline.center_px, angle, limb, float(within.min()))
+    rays = fan.at(np.repeat(np.arange(len(angle)), len(node)), within.ravel())
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, law)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
     variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
-    sources = fft.irfft(fft.rfft(sources, axis=1) * wave.astype(np.float32)[:, None], t, axis=1)
+    rows = fft.irfft(fft.rfft(rows.reshape(len(rows), t, len(node)), axis=1) * wave[:, None], t, axis=1)
+    sources = rows.astype(np.float32) @ _cell_mean(fine, step, node)
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
     spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)
@@ -517,12 +516,18 @@ def _spread_in_plane(
     limb, reach = outline.radius(np.arctan2(y, x)), np.hypot(x, y)
     flat_x, flat_y, share = x.ravel(), y.ravel(), np.maximum(reach / limb, 1e-9).ravel()
 
-    def rays_at(within: FloatArray, cells: IntArray) -> FloatArray:
-        length = within / share[cells]
-        away = np.stack([flat_x[cells] * length, flat_y[cells] * length], axis=-1)
-        return pixel_rays(picture, outline.center_px + away)
-
-    sources = _sources(picture, model, outline.center_px, reach - limb, limb, rays_at, step, hatted, law)
+    depth_px = (reach - limb).ravel()
+    covered = np.clip(0.5 - depth_px / step, 0.0, 1.0)
+    inside = np.flatnonzero(covered > 0.0)
+    places, weights = _rim_nodes(depth_px[inside], step)
+    within = np.clip(1.0 + places / limb.ravel()[inside, None], 0.0, 1.0 - GRAZE)
+    length = within / share[inside, None]
+    away = np.stack([flat_x[inside, None] * length, flat_y[inside, None] * length], axis=-1)
+    rays = pixel_rays(picture, outline.center_px + away.reshape(-1, 2))
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, law)
+    sources = np.zeros((len(rows), depth_px.size), dtype=np.float32)
+    sources[:, inside] = (rows * weights.ravel()).reshape(-1, *weights.shape).sum(axis=2) * covered[inside]
+    sources = sources.reshape(-1, *x.shape)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
     size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
