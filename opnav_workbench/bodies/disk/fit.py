@@ -92,6 +92,7 @@ MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
 LEAST_BRIGHT = 0.5  # of light without what a law adds to it
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
+SURE_SIGMAS = 1.0  # of the PSF, inward of the limb: there pixels show the albedo beside it
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
@@ -560,6 +561,7 @@ class _Fitter:
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
+        self.patchy = np.zeros(problem.pieces)
         self.likelihood = -np.inf
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if start is not None:
@@ -648,14 +650,37 @@ class _Fitter:
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
         self.likelihood += self.linear.solution.log_likelihood - before
 
+    def _patchiness(self, near: LimbSamples, columns: FloatArray) -> FloatArray:
+        """Return the variance (j,) of the albedo within pieces of limb, as pixels beside the limb differ from their cell's mean.
+
+        Where it is large, a cell's mean of data is not that of its light: pixels that are brighter lie deeper, or less deep.
+        """
+        problem = self.problem
+        light = self.brightness * columns[Unknown.BRIGHTNESS]
+        here = (
+            (near.side == 1.0)
+            & (near.places.depth_px < -SURE_SIGMAS * problem.psf_px)
+            & (light > LIT_LIMB * self.brightness)
+        )
+        albedo, light = near.data_dn[here] / light[here], light[here]
+        noise = (near.variance_dn2[here] + light / problem.pixels.gain_e_per_dn) / light**2
+        cell = cell_of(near.places, problem.pieces, problem.edges)[here]
+        none = np.zeros((1, len(albedo)))
+        count, mean, square = gathered(
+            cell, np.ones(len(albedo)), albedo, albedo[None] ** 2, problem.pieces, problem.edges
+        )
+        _, expected, _ = gathered(cell, np.ones(len(albedo)), noise, none, problem.pieces, problem.edges)
+        free = np.maximum(count - 1.0, 0.0)
+        beyond = np.sum(count * (square[0] - mean**2) - free * expected, axis=1)
+        return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
+
     def _doubt(self) -> None:
-        """Let cells that no model reaches count as much as their residuals say (Huber's weights)."""
+        """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
         linear = self.linear
+        self.patchy = self._patchiness(linear.samples, linear.columns)
         away = np.abs(linear.system.residuals_sigma(linear.solution, self.prior))
-        doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
-        if np.any(doubt > 1.0) or np.any(self.doubt != 1.0):
-            self.doubt = doubt
-            self._solve_at(linear.samples, linear.columns)
+        self.doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
+        self._solve_at(linear.samples, linear.columns)
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
@@ -668,21 +693,22 @@ class _Fitter:
         best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
         passed = []
         for _ in range(most):
-            length = self._step()
-            self.lengths.append(length)
+            self.lengths.append(self._step())
             passed.append(self.shape.center_px)
             anew = not self.made.light.fine and self._stale(NEW) and self._tabulate(fine=False)
             if anew or self.linear.solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
             fine = self.made.light.fine
-            if length < self._slack_px(*((STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS))):
+            if self._wanted_px() < self._slack_px(
+                *((STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS))
+            ):
                 break
         if self.linear.solution.held_cost > best.linear.solution.held_cost + self._lost():
             last_px = self.shape.center_px
             self._return_to(best)
             self.wandered_px = best.shape.center_px - last_px
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
-        settled = length < self._slack_px(NEAR_PX, NEAR_SIGMAS)
+        settled = self._wanted_px() < self._slack_px(NEAR_PX, NEAR_SIGMAS)
         if not settled:
             self.unrest_px2 = _spread(passed[len(passed) // 2 :], self.shape.center_px)
             settled = self._slack_px(NEAR_PX, 1.0) ** 2 > float(np.trace(self.unrest_px2))
@@ -694,6 +720,10 @@ class _Fitter:
 
     def _state(self) -> _FitState:
         return _FitState(self.shape, self.brightness, self.piece_albedo, self.made, self.linear)
+
+    def _wanted_px(self) -> float:
+        """Return how far the solution would move the center."""
+        return float(np.hypot(*self.linear.solution.theta[CENTER]))
 
     def _slack_px(self, least_px: float, sigmas: float) -> float:
         """Return what a center may still move by: so many px, or so many of its sigmas."""
@@ -856,17 +886,24 @@ class _Fitter:
         return near, columns
 
     def _cells(self, near: LimbSamples, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return weights, data and columns of the cells (j, c)."""
+        """Return variance, data and columns of the cells (j, c)."""
         problem = self.problem
         light = np.maximum(self.brightness * columns[Unknown.BRIGHTNESS], 0.0)
         weight = 1.0 / (near.variance_dn2 + light / (problem.pixels.gain_e_per_dn * near.side**2))
         cell = cell_of(near.places, problem.pieces, problem.edges)
-        return gathered(cell, weight, near.data_dn, columns, problem.pieces, problem.edges)
+        both = np.concatenate([columns, weight[None], columns[:1] ** 2])
+        whole, data, means = gathered(cell, weight, near.data_dn, both, problem.pieces, problem.edges)
+        usable = whole > 0.0
+        share = means[-2] / np.where(usable, whole, 1.0)  # of a pixel in its cell
+        uneven = np.maximum(means[-1] - means[0] ** 2, 0.0) * share
+        patches = self.brightness**2 * self.patchy[:, None] * uneven
+        variance = np.where(usable, self.doubt / np.where(usable, whole, 1.0) + patches, np.inf)
+        return variance, data, means[:-2]
 
     def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:
         """Return the linear system of the cells: what the present shape has of theta stands on the side of the data."""
         problem, shape, made = self.problem, self.shape, self.made
-        whole, data, means = self._cells(near, columns)
+        variance, data, means = self._cells(near, columns)
         lit = self.brightness * self.piece_albedo[:, None]
         means = columns_dn(means, self.brightness, lit)
         shaded, parts = means[SHADED], means[ALBEDO]
@@ -880,11 +917,11 @@ class _Fitter:
             + means[SHARED] * shape.rough_px[:, None]
         )
         means[FIGURE[1:]] += shaded  # the outline has its strain, the shading that of the tables
-        usable = whole > 0.0
+        usable = np.isfinite(variance)
         light = lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness)
         return LimbSystem(
             data=data,
-            variance=np.where(usable, self.doubt / np.where(usable, whole, 1.0), np.inf),
+            variance=variance,
             light=np.where(usable, np.maximum(np.maximum(light, means[RELIEF]), 0.0), 0.0),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
