@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
     from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
     from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
-    from opnav_workbench.bodies.ellipse.point_fits import horizon_position
     from opnav_workbench.bodies.judgement import confirmed_center
     from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
     from opnav_workbench.bodies.lighting import Lighting, fit_lighting
@@ -102,7 +101,6 @@ else:  # loaded on first use: most calls need a few of these
             "MeasuredDisk": "disk.measurement",
             "measure_disk": "disk.measurement",
             "find_ellipse": "ellipse.centerfinder",
-            "horizon_position": "ellipse.point_fits",
             "confirmed_center": "judgement",
             "find_jointly": "least_squares",
             "find_least_squares": "least_squares",
@@ -172,7 +170,6 @@ __all__ = [
     "find_unresolved",
     "find_unresolved_body",
     "fit_lighting",
-    "horizon_position",
     "judged_disk",
     "measure_disk",
     "model_picture",

@@ -43,6 +43,7 @@ __all__ = [
     "crossing_depths",
     "find_place",
     "fit_crossings",
+    "radiance_profiles",
 ]
 
 
@@ -312,6 +313,7 @@ RAY_STEP_PX = 0.25
 FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
 LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
 FAINT_SIGMAS = 4.0
+FLOOR_SHARE = 0.25  # of what is faint: the sky, where light is told in proportion
 LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
 INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
 NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
@@ -349,28 +351,29 @@ class LimbCrossings:
 
 
 def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, faint: float) -> FloatArray:
-    """Return where profiles (n, m) over depths (m,) first exceed, from outside, half of what lies behind; nan without."""
+    """Return where profiles (n, m) over depths (m,) first exceed, from outside, half of what lies behind; nan without.
+
+    Stray light rises toward a bright body over many pixels: at a limb it rises, in proportion, as it does no more behind.
+    """
     step = float(depth_px[1] - depth_px[0])
-    n, m = profile.shape
-    run = max(2, round(1.5 * width_px / step))
-    above = profile > faint
-    lasting = np.cumsum(above, axis=1)
-    lasting = np.concatenate([lasting[:, :run], lasting[:, run:] - lasting[:, :-run]], axis=1) >= run
-    has = lasting.any(axis=1)
+    m, width = profile.shape[1], width_px / step
+    run = max(2, round(1.5 * width))
+    near, far = round(LEVEL_FROM * width), round(LEVEL_TO * width)
+    at, rows = np.arange(m), np.arange(len(profile))
+    above = np.cumsum(profile > faint, axis=1)
+    lasting = np.concatenate([above[:, :run], above[:, run:] - above[:, :-run]], axis=1) >= run
+    level = np.log(np.maximum(profile, FLOOR_SHARE * faint))
+    rise = level[:, np.maximum(at - near, 0)] - level[:, np.minimum(at + near, m - 1)]
+    lasting &= rise >= rise[:, np.maximum(at - 2 * near, 0)]
     last = m - 1 - lasting[:, ::-1].argmax(axis=1)
-    a, b = round(LEVEL_FROM * width_px / step), round(LEVEL_TO * width_px / step)
-    sums = np.concatenate([np.zeros((n, 1)), np.cumsum(profile, axis=1)], axis=1)
-    rows = np.arange(n)
-    high, low = np.clip(last - a, 1, m), np.clip(last - b, 0, m - 1)
-    level = (sums[rows, high] - sums[rows, low]) / np.maximum(high - low, 1)
-    half = np.maximum(0.5 * level, faint)
-    inside = np.arange(m) < np.minimum(last + run, m)[:, None]
-    over = inside & (profile > half[:, None])
-    k = m - 1 - over[:, ::-1].argmax(axis=1)
-    k = np.clip(k, 0, m - 2)
+    sums = np.concatenate([np.zeros((len(profile), 1)), np.cumsum(profile, axis=1)], axis=1)
+    high, low = np.clip(last - near, 1, m), np.clip(last - far, 0, m - 1)
+    half = np.maximum(0.5 * (sums[rows, high] - sums[rows, low]) / np.maximum(high - low, 1), faint)
+    over = (at < np.minimum(last + run, m)[:, None]) & (profile > half[:, None])
+    k = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
     top, below = profile[rows, k], profile[rows, k + 1]
     part = np.clip((top - half) / np.maximum(top - below, 1e-12), 0.0, 1.0)
-    found = has & over.any(axis=1) & (high > low)
+    found = over.any(axis=1) & lasting.any(axis=1) & (high > low)
     return np.where(found, depth_px[k] + part * step, np.nan)
 
 
@@ -422,7 +425,7 @@ def cross_limb(
     return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known, changes)
 
 
-def _radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
+def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
     """Return profiles of the body's radiance, spread along the rays as by the PSF: good to a tenth of a pixel.
 
     An unknown law, which is called Lambert's, is half of that and half of Lommel-Seeliger's, or either; a law that was given
@@ -596,7 +599,7 @@ def _on_limb(picture: BodyPicture, name: str, place: BodyPlace) -> BodyPlace:
     for _ in range(PLACE_TURNS):
         body = strained_picture(picture, name, np.append(strain, np.zeros(3)))
         outline = Silhouette(body, name).at(center, 1.0 / size)
-        crossings = cross_limb(picture, outline, 1.5 * near + 3.0, _radiance_profiles(body, name, size))
+        crossings = cross_limb(picture, outline, 1.5 * near + 3.0, radiance_profiles(body, name, size))
         if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
             break
         relief = figure.limb_roughness * 0.5 * outline.diameter_px

@@ -17,7 +17,6 @@ from opnav_workbench.bodies import (
     BodyCenter,
     Circle,
     JointCenters,
-    MeasuredDisk,
     choose_method,
     confirmed_center,
     find_cross_correlation,
@@ -28,11 +27,9 @@ from opnav_workbench.bodies import (
     find_limb_scan,
     find_unresolved,
     find_unresolved_body,
-    judged_disk,
-    measure_disk,
 )
 from opnav_workbench.bodies.lighting import fit_lighting
-from opnav_workbench.bodies.picture import BodyPicture, sized_target
+from opnav_workbench.bodies.picture import sized_target
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, CenterfindingError, KernelError, MissionError, SessionError
 from opnav_workbench.geometry import unit
@@ -117,30 +114,15 @@ def _center_as_lit(context: Context, inputs: Inputs, state: SessionState, reques
         return center
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
-    disk: MeasuredDisk | BodyCenter | None = None
     if method == "ellipse":
-        center, disk = _found_ellipse(picture, name, options)
+        center = find_ellipse(picture, name, **options)
     elif method == "cross_correlation":
         center = find_cross_correlation(picture, name, **options)
     else:
         center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
     # A body with a map of its albedo has a truer model than the likelihood's, which knows no Sun that is guessed, either.
     alone = has_albedo_map(context, name) or (method == "ellipse" and name in state.assisted)
-    return center if alone else confirmed_center(picture, center, **options, disk=disk)
-
-
-def _found_ellipse(
-    picture: BodyPicture, name: str, options: dict[str, Any]
-) -> tuple[BodyCenter, MeasuredDisk | BodyCenter | None]:
-    """Find a limb; where nothing like it stands out, look where the likelihood of the pixels has the disk, given too."""
-    center = find_ellipse(picture, name, **options)
-    if center.status != "not_detected" or options["circle"] is not None:
-        return center, None
-    disk = measure_disk(picture, name, center.method, options["circle"], options["search_radius_px"])
-    place = disk if isinstance(disk, BodyCenter) else judged_disk(disk)
-    if place.pixel_line is None or not place.diameter_px > 0.0:
-        return center, disk
-    return find_ellipse(picture, name, circle=Circle(place.pixel_line, 0.5 * place.diameter_px)), disk
+    return center if alone else confirmed_center(picture, center, **options)
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:

@@ -256,7 +256,7 @@ def test_body_of_another_size_than_expected(stood, share):
 def test_nothing_in_the_circle(stood):
     found = find_ellipse(stood[0], "BODY", circle=Circle([200.0, 300.0], 60.0))
     assert (found.status, found.pixel_line) == ("not_detected", None)
-    assert "nothing like it found within 30 px" in found.messages[0]
+    assert "stands out of the sky within 30 px" in found.messages[0]
 
 
 def test_all_saturated_and_core_saturated(stood):

@@ -24,7 +24,7 @@ from opnav_workbench.bodies.place import (
     find_place,
     fit_crossings,
 )
-from opnav_workbench.bodies.results import BodyCenter
+from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
 from opnav_workbench.errors import CenterfindingError
@@ -37,6 +37,7 @@ __all__ = [
     "crossing_covariance",
     "likelier",
     "measure_disk",
+    "placed_body",
     "same_center",
     "sigmas_apart",
 ]
@@ -97,19 +98,11 @@ def measure_disk(
     CenterfindingError
         No such body in the picture.
     """
-    if (why := _unsuitable(picture, name)) is not None:
-        return BodyCenter.without_center(name, method, "failed", why)
-    if circle is None and _beside_the_detector(picture, name, search_px):
-        away = "it is predicted beside the detector, farther than it is looked for"
-        return BodyCenter.without_center(name, method, "off_detector", away)
-    picture = with_true_sky(picture)
+    placed = placed_body(picture, name, method, circle, search_px)
+    if isinstance(placed, BodyCenter):
+        return placed
+    picture, place = placed
     try:
-        place = find_place(picture, name, circle, search_px)
-        if place is None:
-            nothing = "nothing of its size and phase stands out of the sky"
-            if circle is None and search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
-                nothing += " near its expected place; farther off it may be any star, give a circle"
-            return BodyCenter.without_center(name, method, "not_detected", nothing)
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
         hits = _hits(fit, pixels)
@@ -124,6 +117,37 @@ def measure_disk(
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
+
+
+def placed_body(
+    picture: BodyPicture, name: str, method: str, circle: Circle | None, search_px: float | None
+) -> tuple[BodyPicture, BodyPlace] | BodyCenter:
+    """Find where a body stands in a picture whose sky is made sure of; a `BodyCenter` without a center where it is not seen.
+
+    Parameters as of `measure_disk`.
+    """
+    if (why := _unsuitable(picture, name)) is not None:
+        return BodyCenter.without_center(name, method, "failed", why)
+    if circle is None and _beside_the_detector(picture, name, search_px):
+        away = "it is predicted beside the detector, farther than it is looked for"
+        return BodyCenter.without_center(name, method, "off_detector", away)
+    picture = with_true_sky(picture)
+    try:
+        place = find_place(picture, name, circle, search_px)
+    except CenterfindingError as error:
+        return BodyCenter.without_center(name, method, "failed", str(error))
+    if place is not None:
+        return picture, place
+    if not np.any(np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)):
+        return BodyCenter.without_center(
+            name, method, "failed", "no usable pixels in the picture", flags=int(BodyFlag.EMPTY)
+        )
+    nothing = "nothing of its size and phase stands out of the sky"
+    if circle is not None or search_px is not None:
+        nothing += f" within {search_radius(0.0, circle, search_px):.0f} px of its expected place"
+    if circle is None and search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
+        nothing += " near its expected place; farther off it may be any star, give a circle"
+    return BodyCenter.without_center(name, method, "not_detected", nothing)
 
 
 def _unsuitable(picture: BodyPicture, name: str) -> str | None:

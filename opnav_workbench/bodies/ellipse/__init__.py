@@ -4,12 +4,10 @@ Enter by `find_ellipse`.
 
 ``centerfinder``
     The method: rendered, measured and moved until the limb of the picture lies on that of the model.
-``limb_search``
-    Where the limb is, roughly: from where the fit starts.
 ``limb_points``
     The limb in pieces, the sub-pixel place of each, and which of them count.
 ``point_fits``
-    Position, motion and free ellipse from limb points.
+    Motion and free ellipse from limb points.
 ``report``
     The result: covariances, flags, status and messages.
 """

@@ -1,7 +1,7 @@
 """Center of a body from its limb: sub-pixel limb points, and the conic of its ellipsoid (or its silhouette) through them.
 
-Flow   expected place -> correlation -> limb along normals -> horizon fit -> rendered limb fitted piece by piece ->
-       position by weighted least squares -> rendered anew there, until it stands still
+Flow   place (`opnav_workbench.bodies.place`) -> rendered limb fitted piece by piece -> position by weighted least squares
+       -> rendered anew there, until it stands still
 Frame  (pixel, line), 0-based, integer = pixel center
 Units  px, km, DN
 
@@ -9,12 +9,13 @@ The body is rendered where it is thought to be, with its law, the PSF, distortio
 how far the limb of the picture lies beside the rendered one. At the solution that is zero on average, so that no
 approximation of the edge or of the camera is left in the center, which is the projected center of figure.
 
-Sources  Christian (2021), doi:10.1109/ACCESS.2021.3051914 (horizon fit); Owen (2011), AAS 11-215 (limbs)
+Source  Owen (2011), AAS 11-215 (limbs)
 """
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.disk.measurement import placed_body
 from opnav_workbench.bodies.ellipse.limb_points import (
     LimbPieces,
     fit_edges,
@@ -23,21 +24,13 @@ from opnav_workbench.bodies.ellipse.limb_points import (
     missing_share,
     select_limb,
 )
-from opnav_workbench.bodies.ellipse.limb_search import (
-    MOSTLY_SATURATED,
-    FitStart,
-    StartError,
-    find_start,
-    limb_lags,
-    limb_template,
-    model_window,
-    saturated_share,
-)
 from opnav_workbench.bodies.ellipse.point_fits import limb_motion
 from opnav_workbench.bodies.ellipse.report import METHOD, LimbStage, limb_center
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
+from opnav_workbench.bodies.place import cross_limb, radiance_profiles
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
-from opnav_workbench.bodies.silhouette import Outline, Silhouette
+from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.targets import TargetState
 from opnav_workbench.threads import one_thread
@@ -50,8 +43,10 @@ STILL_PX, STILL_SIGMAS = 0.01, 0.05  # motion of center and limb after which the
 # A picture that tells the size of a body less well than this leaves it to the ephemeris, which knows the range better;
 # unless the target's covariance says how well it does.
 RANGE_SIGMA = 0.002
-LARGEST_STEP = 0.5  # of the radius, per stage
+LARGEST_STEP = 0.1  # of the radius, per stage
 ROUGH_PX = 0.75  # a limb this far from its model is followed from where it is
+SEARCH_SHARE, LEAST_SEARCH_PX = 0.35, 4.0  # of the radius
+MOSTLY_SATURATED = 0.3  # of the lit limb
 LEAST_DIAMETER_PX = 3.0
 MOSTLY_MISSING = 0.5  # of the limb: something else was found
 
@@ -116,20 +111,16 @@ def find_ellipse(
     >>> center.status, center.pixel_line.round(2).tolist(), round(center.diameter_px)
     ('ok', [514.2, 510.3], 60)
     """
-    if picture.model(name).is_point:
-        return _without(
-            name, "failed", "it has neither radii nor a shape; give them, or use method 'unresolved'"
-        )
+    if (small := _too_small(picture, name)) is not None:
+        return small
+    placed = placed_body(picture, name, METHOD, circle, search_radius_px)
+    if isinstance(placed, BodyCenter):
+        return placed
+    picture, place = placed
     try:
         silhouette = Silhouette(picture, name)
-        if (small := _too_small(picture, name)) is not None:
-            return small
-        start = find_start(picture, silhouette, circle, search_radius_px, solve_range=solve_range)
-        return _refined(picture, silhouette, start, circle, solve_range=solve_range)
-    except StartError as none:
-        if saturated_share(picture, name, circle) > MOSTLY_SATURATED:
-            return _saturated(name)
-        return _without(name, none.status, none.message, none.flags)
+        scale = 1.0 / place.size_ratio if solve_range else 1.0
+        return _refined(picture, silhouette, place.center_px, scale, circle, solve_range=solve_range)
     except CenterfindingError as error:
         return _without(name, "failed", str(error))
 
@@ -158,14 +149,20 @@ def _too_small(picture: BodyPicture, name: str) -> BodyCenter | None:
 
 
 def _refined(
-    picture: BodyPicture, silhouette: Silhouette, start: FitStart, circle: Circle | None, *, solve_range: bool
+    picture: BodyPicture,
+    silhouette: Silhouette,
+    center: FloatArray,
+    scale: float,
+    circle: Circle | None,
+    *,
+    solve_range: bool,
 ) -> BodyCenter:
-    stage, steps, converged = _settled(picture, silhouette, start, solve_range=solve_range)
+    stage, steps, converged = _settled(picture, silhouette, center, scale, solve_range=solve_range)
     solved = solve_range
     if solve_range and not _tells_range(stage, picture.model(silhouette.name).target):
         solved = False
-        known = FitStart(stage.outline.center_px, 1.0, start.spread_px)
-        stage, steps, converged = _settled(picture, silhouette, known, solve_range=False)
+        center = stage.outline.center_px
+        stage, steps, converged = _settled(picture, silhouette, center, 1.0, solve_range=False)
     if stage.motion is None or missing_share(stage.selection) > MOSTLY_MISSING:
         return _no_limb(silhouette.name, stage)
     return limb_center(
@@ -199,10 +196,10 @@ def _no_limb(name: str, stage: LimbStage) -> BodyCenter:
 
 
 def _settled(
-    picture: BodyPicture, silhouette: Silhouette, start: FitStart, *, solve_range: bool
+    picture: BodyPicture, silhouette: Silhouette, center: FloatArray, scale: float, *, solve_range: bool
 ) -> tuple[LimbStage, tuple[tuple[float, float], ...], bool]:
     """Repeat stages until the body stands still."""
-    center, scale, spread = start.center_px, start.range_scale, start.spread_px
+    spread = _spread_px(picture, silhouette.name, silhouette.at(center, scale), scale)
     steps: list[tuple[float, float]] = []
     share, last = 1.0, np.zeros(3)
     while True:
@@ -236,15 +233,15 @@ def _stage(
     follow = spread > ROUGH_PX
     search = reach + 3.0 * spread if follow else 0.0
     pieces = limb_pieces(outline, picture.signal_dn.shape, reach)
-    window = model_window(picture, outline, reach + search)
+    window = _window(picture, outline, reach + search)
     if min(window[2:]) < 1:
-        raise StartError("off_detector", "its limb lies off the detector", int(BodyFlag.CUT_BY_EDGE))
+        raise CenterfindingError("its limb lies off the detector")
     model = model_picture(
         picture, window, {silhouette.name: outline.center_px}, range_scale={silhouette.name: scale}
     )
     offset = np.zeros(len(pieces))
     if follow:
-        offset = _lagged(picture, pieces, model, window, reach, search)
+        offset = _crossed(picture, silhouette.name, outline, scale, pieces, search)
         pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
     edges = fit_edges(picture, pieces, model, window, outline.center_px, offset)
     selection = select_limb(picture, silhouette, pieces, edges, reach)
@@ -256,14 +253,32 @@ def _stage(
     return LimbStage(outline, scale, window, model, pieces, edges, selection, motion)
 
 
-def _lagged(
-    picture: BodyPicture,
-    pieces: LimbPieces,
-    model: FloatArray,
-    window: tuple[int, int, int, int],
-    reach: float,
-    search: float,
+def _window(picture: BodyPicture, outline: Outline, margin: float) -> tuple[int, int, int, int]:
+    """Return the window of the detector that holds an outline and `margin` px around it."""
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    low, high = outline.center_px - outline.reach_px[:2], outline.center_px + outline.reach_px[2:]
+    first = np.clip(np.floor(low - margin) - 1, 0, size).astype(int)
+    last = np.clip(np.ceil(high + margin) + 1, -1, size - 1).astype(int)
+    n_pixel, n_line = (int(n) for n in np.maximum(last - first + 1, 0))
+    return int(first[0]), int(first[1]), n_pixel, n_line
+
+
+def _spread_px(picture: BodyPicture, name: str, outline: Outline, scale: float) -> float:
+    """Return how far a limb lies from an outline, as a standard deviation; 0 where it is not seen."""
+    search = max(LEAST_SEARCH_PX, SEARCH_SHARE * 0.5 * outline.diameter_px)
+    found = cross_limb(picture, outline, search, radiance_profiles(picture, name, 1.0 / scale))
+    if not found.known.any():
+        return 0.0
+    return MAD_TO_SIGMA * float(np.median(np.abs(found.depth_px[found.known])))
+
+
+def _crossed(
+    picture: BodyPicture, name: str, outline: Outline, scale: float, pieces: LimbPieces, search_px: float
 ) -> FloatArray:
-    """Return where along its normal each piece's limb is found; 0 where it is not."""
-    template = limb_template(pieces, model, window, reach)
-    return np.nan_to_num(limb_lags(picture, pieces, template, search).lag_px)
+    """Return where along its normal the limb of each piece (n,) is crossed; 0 where it is not."""
+    found = cross_limb(picture, outline, search_px, radiance_profiles(picture, name, 1.0 / scale))
+    ray = np.mod(pieces.angle_rad, TURN) * (len(found.angle_rad) / TURN)
+    nearest = ray.astype(np.int64) % len(found.angle_rad)
+    away = pieces.point_px - outline.center_px
+    lean = np.einsum("ij,ij->i", pieces.normal, away) / np.hypot(*away.T)
+    return np.where(found.known[nearest], found.depth_px[nearest] * lean, 0.0)

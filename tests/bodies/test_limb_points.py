@@ -1,4 +1,4 @@
-"""Horizon fit, outlines, free ellipses and the motion of a limb: closed forms, brute force, and trials of rough limbs."""
+"""Outlines, free ellipses and the motion of a limb: closed forms, brute force, and trials of rough limbs."""
 
 from dataclasses import replace
 
@@ -8,17 +8,14 @@ import pytest
 from opnav_workbench.bodies import displaced_model
 from opnav_workbench.bodies.ellipse.point_fits import (
     compare_ellipses,
-    horizon_position,
     limb_motion,
     pinhole_px,
 )
 from opnav_workbench.bodies.silhouette import Silhouette, body_outline
-from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import (
     apparent_direction,
     ellipse_from_conic,
     limb_cone,
-    limb_points,
     rotation_from_vector,
     unit,
 )
@@ -26,32 +23,6 @@ from opnav_workbench.render import ShapeModel
 
 RADII = np.array([700.0, 600.0, 450.0])
 TURN = rotation_from_vector(np.array([0.5, -1.2, 0.3]))
-
-
-@pytest.mark.parametrize("position", [(200.0, -900.0, 3000.0), (-4e4, 1e4, 9e6)])
-def test_horizon_fit_is_exact_for_exact_points(position):
-    limb = limb_points(position, RADII, TURN, n=300)[40:120]  # a quarter of the limb
-    found = horizon_position(limb, RADII, TURN)
-    np.testing.assert_allclose(found, position, rtol=0, atol=2e-5 * np.linalg.norm(position))
-    np.testing.assert_allclose(unit(found), unit(np.array(position)), rtol=0, atol=1e-10)
-
-
-def test_horizon_fit_heeds_the_weights():
-    position, rng = np.array([0.0, 3e4, 9e5]), np.random.default_rng(1)
-    limb = limb_points(position, RADII, TURN, n=200)
-    sigma = np.where(np.arange(200) % 2 == 0, 1e-8, 1e-5)
-    noisy = limb + sigma[:, None] * rng.normal(size=limb.shape)
-    error = [
-        np.linalg.norm(horizon_position(noisy, RADII, TURN, s) - position) for s in (sigma, np.ones(200))
-    ]
-    assert error[0] < 0.1 * error[1]
-
-
-@pytest.mark.parametrize("rows", [slice(0, 2), slice(0, 300, 150)])
-def test_horizon_fit_needs_an_arc(rows):
-    limb = limb_points([0.0, 0.0, 9e5], RADII, TURN, n=300)[rows]
-    with pytest.raises(CenterfindingError, match="limb points"):
-        horizon_position(limb, RADII, TURN)
 
 
 def test_outline_is_the_conic_of_the_ellipsoid(body_stage):
