@@ -313,6 +313,7 @@ RAY_STEP_PX = 0.25
 FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
 LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
 FAINT_SIGMAS = 4.0
+STEEPER = 0.2  # in the logarithm, over three widths of the PSF: at a limb than behind it
 FLOOR_SHARE = 0.25  # of what is faint: the sky, where light is told in proportion
 LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
 INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
@@ -364,7 +365,7 @@ def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, 
     lasting = np.concatenate([above[:, :run], above[:, run:] - above[:, :-run]], axis=1) >= run
     level = np.log(np.maximum(profile, FLOOR_SHARE * faint))
     rise = level[:, np.maximum(at - near, 0)] - level[:, np.minimum(at + near, m - 1)]
-    lasting &= rise >= rise[:, np.maximum(at - 2 * near, 0)]
+    lasting &= rise > STEEPER + rise[:, np.maximum(at - 2 * near, 0)]
     last = m - 1 - lasting[:, ::-1].argmax(axis=1)
     sums = np.concatenate([np.zeros((len(profile), 1)), np.cumsum(profile, axis=1)], axis=1)
     high, low = np.clip(last - near, 1, m), np.clip(last - far, 0, m - 1)

@@ -4,9 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from opnav_workbench.bodies import BodyFlag, confirmed_center, find_disk, find_least_squares
-from opnav_workbench.bodies.place import LimbCrossings, crossing_columns, find_place, fit_crossings
+from opnav_workbench.bodies.place import (
+    LimbCrossings,
+    crossing_columns,
+    crossing_depths,
+    find_place,
+    fit_crossings,
+)
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
 
@@ -79,3 +86,19 @@ def test_full_disk_center_beside_the_likelihood(body_stage, truth_share, confirm
     assert (center.status == "ok") == confirmed
     error = center.pixel_line - TRUE
     assert np.sqrt(error @ np.linalg.solve(center.covariance_px2, error)) < 4.0
+
+
+@pytest.mark.parametrize("e_folding_px", [4.0, 12.0])
+def test_stray_light_before_a_limb_is_no_limb(e_folding_px):
+    """A limb blurred by a PSF behind light that grows toward it, up to a third of the body's own, as of fouled optics."""
+    depth = np.arange(-20.0, 60.0, 0.25)
+    body = norm.cdf(-depth / 0.9)
+    stray = 0.3 * np.exp(-np.maximum(depth, 0.0) / e_folding_px)
+    found = crossing_depths(np.stack([body, np.maximum(body, stray)]), depth, 1.1, 0.02)
+    np.testing.assert_allclose(found, 0.0, rtol=0, atol=0.35)
+
+
+def test_a_dark_limb_is_crossed_though_the_surface_is_brighter_behind():
+    depth = np.arange(-20.0, 20.0, 0.25)
+    profile = 0.12 * norm.cdf(-depth / 0.9) + 0.88 * norm.cdf(-(depth + 5.0) / 0.9)
+    np.testing.assert_allclose(crossing_depths(profile[None], depth, 1.1, 0.02), 0.0, rtol=0, atol=0.3)

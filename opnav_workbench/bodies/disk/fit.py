@@ -560,7 +560,7 @@ class _Fitter:
         self.problem = problem
         self.lengths: list[float] = []
         self.converged = False
-        self.doubt: FloatArray | float = 1.0
+        self.doubt_dn2: FloatArray | float = 0.0
         self.patchy = np.zeros(problem.pieces)
         self.likelihood = -np.inf
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
@@ -678,8 +678,11 @@ class _Fitter:
         """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
         linear = self.linear
         self.patchy = self._patchiness(linear.samples, linear.columns)
-        away = np.abs(linear.system.residuals_sigma(linear.solution, self.prior))
-        self.doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
+        system = linear.system
+        noise = np.where(np.isfinite(system.variance), system.variance - self.doubt_dn2, 0.0)
+        own = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
+        away = np.abs(system.residuals_dn(linear.solution))
+        self.doubt_dn2 = own * np.maximum(away / DOUBTED_SIGMAS - own, 0.0)
         self._solve_at(linear.samples, linear.columns)
 
     def _iterate(self, most: int) -> None:
@@ -897,7 +900,7 @@ class _Fitter:
         share = means[-2] / np.where(usable, whole, 1.0)  # of a pixel in its cell
         uneven = np.maximum(means[-1] - means[0] ** 2, 0.0) * share
         patches = self.brightness**2 * self.patchy[:, None] * uneven
-        variance = np.where(usable, self.doubt / np.where(usable, whole, 1.0) + patches, np.inf)
+        variance = np.where(usable, 1.0 / np.where(usable, whole, 1.0) + patches + self.doubt_dn2, np.inf)
         return variance, data, means[:-2]
 
     def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:

@@ -34,7 +34,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "hats", "limb_light", "own_share"]
+__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share"]
 
 PLANES = (
     "light", "by_depth", "by_angle", "blur", "wings", "halo",
@@ -244,7 +244,7 @@ def _light_rows(
     return np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
 
 
-def _cell_mean(depth_px: FloatArray, step_px: float, node: FloatArray) -> NDArray[np.float32]:
+def cell_means(depth_px: FloatArray, step_px: float, node: FloatArray) -> NDArray[np.float32]:
     """Return what light at `node` (m,), roots of depths, gives to cells of `step_px` at depths (n,): weights (m, n).
 
     A cell that the limb cuts has the light of the part inside.
@@ -427,7 +427,7 @@ def _spread_along_rays(
     variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
     rows = fft.irfft(fft.rfft(rows.reshape(len(rows), t, len(node)), axis=1) * wave[:, None], t, axis=1)
-    sources = rows.astype(np.float32) @ _cell_mean(fine, step, node)
+    sources = rows.astype(np.float32) @ cell_means(fine, step, node)
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
     spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)

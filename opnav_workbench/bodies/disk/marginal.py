@@ -187,12 +187,10 @@ class LimbSystem:
         whole[:, -1, :, -1] = rough
         return whole.reshape(j * q, j * q)
 
-    def residuals_sigma(self, solution: MarginalSolution, prior: FieldPrior) -> FloatArray:
-        """Return what a solution leaves of the cells (j, c), in sigmas of their noise and grain; 0 without pixels."""
-        model = np.tensordot(solution.theta, self.shared, axes=1) + np.einsum(
-            "jq,qjc->jc", solution.nodes, self.own
-        )
-        return np.asarray((self.data - model) / np.sqrt(self.variance + (prior.grain * self.light) ** 2))
+    def residuals_dn(self, solution: MarginalSolution) -> FloatArray:
+        """Return what a solution leaves of the cells (j, c)."""
+        own = np.einsum("jq,qjc->jc", solution.nodes, self.own)
+        return np.asarray(self.data - np.tensordot(solution.theta, self.shared, axes=1) - own)
 
     def figure_prior(
         self, solution: MarginalSolution, unknowns: Sequence[int]

@@ -1,0 +1,76 @@
+"""Tables of a disk's light: means of cells, one set of hats, the law that a solution means; and patchy pieces of limb."""
+
+import numpy as np
+import pytest
+from disk_truth import TrialSetup, make_trial
+
+from opnav_workbench.bodies import find_disk
+from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
+from opnav_workbench.bodies.disk.measurement import measure_disk
+from opnav_workbench.bodies.silhouette import Silhouette
+
+CENTER = np.array([511.3, 511.8])
+
+
+def test_cells_have_the_mean_of_light_that_fades_with_the_root_of_its_depth():
+    """Light ``2 + 3 sqrt(d) - d / 5`` inside, none outside: of any cell the integral is known, of the cut one as well."""
+    step = 0.125
+    depth = step * np.arange(-80.0, 10.0)
+    node = 0.05 * np.arange(70)
+    light = 2.0 + 3.0 * node - node**2 / 5.0
+    found = light @ cell_means(depth, step, node)
+
+    def integral(d):
+        return 2.0 * d + 2.0 * d**1.5 - d**2 / 10.0
+
+    deep, shallow = (np.maximum(-depth + sign * 0.5 * step, 0.0) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(found, (integral(deep) - integral(shallow)) / step, rtol=0, atol=3e-4)
+    assert np.count_nonzero(found[depth > 0.0]) == 0  # the cell at 0 is cut in half
+
+
+@pytest.mark.parametrize("diameter", [36.0, 120.0])  # spread in two dimensions, and along rays
+def test_one_light_of_the_hats_is_that_of_both(body_stage, diameter):
+    model = body_stage.body(diameter, 70.0, CENTER)
+    picture = body_stage.picture(body_stage.light(model), [model])
+    outline = Silhouette(picture, "BODY").at(CENTER)
+    nodes = np.linspace(0.0, 0.6, 5)
+
+    def tables(on_slopes):
+        reach = (9.0, 8.0)
+        return limb_light(picture, "BODY", outline, 1.0, reach, nodes, np.zeros(2), on_slopes=on_slopes)
+
+    both, angle, depth = tables(None), np.linspace(0.0, 6.0, 7), np.full(7, -2.0)
+    for on_slopes in (False, True):
+        one = tables(on_slopes)
+        assert one.tables.shape[-1] == len(PLANES) + len(nodes)
+        rows = (light.hats_of(light.at(angle, depth), on_slopes=on_slopes) for light in (one, both))
+        np.testing.assert_allclose(*rows, rtol=0, atol=1e-6)
+        with pytest.raises(ValueError, match="the other light"):
+            one.hats_of(one.at(angle, depth), on_slopes=not on_slopes)
+
+
+def test_light_is_tabulated_at_the_law_that_the_picture_has():
+    """Lambert's, begun half way to Lommel-Seeliger's on a patched surface: 0.4 px off where tables were extrapolated."""
+    setup = TrialSetup(
+        2, 160.0, 49.0, family="field_steep", contrast=3.0, law="lambert", figure_error=0.065, peak_dn=1500.0
+    )
+    trial = make_trial(setup)
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    law = disk.fit.made.shape.law
+    assert abs(law[0]) < 0.15, law
+    assert abs(law[0] - disk.fit.solution.theta[6]) < 0.1  # nothing is extrapolated far
+    found = find_disk(trial.picture, trial.name)
+    error = found.pixel_line - trial.truth_px
+    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0
+
+
+def test_an_edge_within_a_piece_of_limb_is_no_grain_of_the_whole(body_stage):
+    """Half of the surface is nine times darker, with a sharp edge: all else is even, and the fit says so."""
+    model = body_stage.body(300.0, 15.0, CENTER)
+    light = body_stage.light(model)
+    dark = np.arange(1024)[:, None] + 0.23 * np.arange(1024) > 700.0
+    light[dark] /= 9.0
+    picture = body_stage.picture(light, [model], np.random.default_rng(4))
+    disk = measure_disk(picture, "BODY", "disk", None, None)
+    assert disk.fit.prior.grain < 0.004  # measured without: 0.02
+    assert np.hypot(*(disk.fit.center_px - CENTER)) < 0.15
