@@ -232,9 +232,8 @@ class DiskFit:
         Share of a turn of limb that is lit and in sight.
     lengths_px
         Of the center's steps.
-    valley_px2 : (2, 2) array
-        Covariance beyond that of the linearized solution: how far solutions from other starts lie apart, or the last place
-        from the best one.
+    unrest_px2 : (2, 2) array
+        Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
     """
 
     shape: DiskShape
@@ -254,7 +253,7 @@ class DiskFit:
     lit_share: float
     lengths_px: tuple[float, ...]
     converged: bool
-    valley_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -267,13 +266,7 @@ class DiskFit:
     @property
     def covariance_px2(self) -> FloatArray:
         """Covariance of the center (2, 2), marginal over all else."""
-        return np.asarray(self.solution.covariance[np.ix_(CENTER, CENTER)] + self.valley_px2)
-
-    @property
-    def center_with_size_px(self) -> FloatArray:
-        """How far the solution's center (2,) goes along with the logarithm of its size."""
-        whole = self.solution.covariance
-        return np.asarray(whole[CENTER, Unknown.SIZE] / whole[Unknown.SIZE, Unknown.SIZE])
+        return np.asarray(self.solution.covariance[np.ix_(CENTER, CENTER)] + self.unrest_px2)
 
     @property
     def tabulated(self) -> FloatArray:
@@ -505,11 +498,8 @@ def fit_disk(
     place: BodyPlace,
     pixels: DiskPixels,
     start: DiskFit | None = None,
-    prior: FieldPrior | None = None,
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
-
-    A `prior` that was found for the same pixels saves finding it from afar.
 
     Raises
     ------
@@ -521,7 +511,7 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    return _Fitter(problem, shape, start, prior).run()
+    return _Fitter(problem, shape, start).run()
 
 
 def _degrees(system: LimbSystem) -> int:
@@ -554,9 +544,7 @@ class _FitState(NamedTuple):
 
 
 class _Fitter:
-    def __init__(
-        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, prior: FieldPrior | None
-    ) -> None:
+    def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
         self.problem = problem
         self.lengths: list[float] = []
         self.converged = False
@@ -570,10 +558,10 @@ class _Fitter:
             self.piece_albedo = start.piece_albedo
             self.tuning: tuple[tuple[float, ...], ...] = ()
             return
-        self.tuning = TUNING if prior is None else ((),)
+        self.tuning = TUNING
         self.shape = shape
-        self.prior = prior or FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
-        self.made = problem.tabulated(shape, on_slopes=prior and prior.on_slopes)
+        self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
+        self.made = problem.tabulated(shape)
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
@@ -615,7 +603,7 @@ class _Fitter:
             lit_share=float(np.mean(self.problem.seen_limb(self.made, self.linear.system))),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
-            valley_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
+            unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
         )
 
     def _chi2_reduced(self) -> float:
@@ -651,7 +639,7 @@ class _Fitter:
         self.likelihood += self.linear.solution.log_likelihood - before
 
     def _patchiness(self, near: LimbSamples, columns: FloatArray) -> FloatArray:
-        """Return the variance (j,) of the albedo within pieces of limb, as pixels beside the limb differ from their cell's mean.
+        """Return the variance (j,) of the albedo within pieces of limb, by the pixels beside it about the means of their cells.
 
         Where it is large, a cell's mean of data is not that of its light: pixels that are brighter lie deeper, or less deep.
         """

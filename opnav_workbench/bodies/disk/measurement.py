@@ -109,8 +109,6 @@ def measure_disk(
         if hits.any():
             pixels = replace(pixels, use=pixels.use & ~hits)
             fit = fit_disk(picture, name, place, pixels, fit)
-        if _in_a_valley(picture, name, fit):
-            fit = _along_the_valley(picture, name, pixels, fit)
         crossing = read_crossings(picture, fit)
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
@@ -191,36 +189,6 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     out = np.zeros(pixels.use.shape, dtype=bool)
     out[part] = find_hit_pixels(residual[part], weight[part])
     return out
-
-
-# ---- Small crescents: size, law and figure make up for each other, farther than a linearized solution can tell.
-
-VALLEY_RADIUS_PX, VALLEY_PHASE_RAD = 15.0, np.radians(45.0)
-AS_LIKELY = 8.0  # logarithm: evidences of solutions that are linearized elsewhere differ by as much
-
-
-def _in_a_valley(picture: BodyPicture, name: str, fit: DiskFit) -> bool:
-    small = 0.5 * fit.smooth_outline.diameter_px < VALLEY_RADIUS_PX
-    return small and bool(picture.phase_rad(name) > VALLEY_PHASE_RAD)
-
-
-def _along_the_valley(picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit) -> DiskFit:
-    """Return the middle one of fits that begin with a body smaller, or larger, by its sigma, and what they differ by."""
-    fits = [fit]
-    for sign in (-1.0, 1.0):
-        log_size = sign * fit.figure.size_sigma
-        center = fit.center_px + fit.center_with_size_px * (log_size - fit.shape.log_size)
-        try:
-            place = BodyPlace(center, float(np.exp(log_size)), 1.0)
-            fits.append(fit_disk(picture, name, place, pixels, prior=fit.prior))
-        except CenterfindingError:
-            continue
-    likeliest = max(one.solution.log_likelihood for one in fits)
-    likely = [one for one in fits if one.solution.log_likelihood > likeliest - AS_LIKELY]
-    middle = np.mean([one.center_px for one in likely], axis=0)
-    chosen = min(likely, key=lambda one: float(np.hypot(*(one.center_px - middle))))
-    away = [one.center_px - chosen.center_px for one in likely]
-    return replace(chosen, valley_px2=np.mean([np.outer(step, step) for step in away], axis=0))
 
 
 # ---- Where rays cross the limb, with the light that was fitted: a reading that knows neither weights nor albedo.
