@@ -68,7 +68,7 @@ def test_an_edge_within_a_piece_of_limb_is_no_grain_of_the_whole(body_stage):
     """Half of the surface is nine times darker, with a sharp edge: all else is even, and the fit says so."""
     model = body_stage.body(300.0, 15.0, CENTER)
     light = body_stage.light(model)
-    dark = np.arange(1024)[:, None] + 0.23 * np.arange(1024) > 700.0
+    dark = np.arange(1024)[:, None] - CENTER[1] + 0.23 * (np.arange(1024) - CENTER[0]) > 0.0
     light[dark] /= 9.0
     picture = body_stage.picture(light, [model], np.random.default_rng(4))
     disk = measure_disk(picture, "BODY", "disk", None, None)

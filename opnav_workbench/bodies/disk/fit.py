@@ -548,7 +548,7 @@ class _Fitter:
         self.problem = problem
         self.lengths: list[float] = []
         self.converged = False
-        self.doubt_dn2: FloatArray | float = 0.0
+        self.doubt: FloatArray | float = 1.0
         self.patchy = np.zeros(problem.pieces)
         self.likelihood = -np.inf
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
@@ -639,7 +639,7 @@ class _Fitter:
         self.likelihood += self.linear.solution.log_likelihood - before
 
     def _patchiness(self, near: LimbSamples, columns: FloatArray) -> FloatArray:
-        """Return the variance (j,) of the albedo within pieces of limb, by the pixels beside it about the means of their cells.
+        """Return the variance (j,) of the albedo within pieces of limb, by pixels beside it about the means of cells.
 
         Where it is large, a cell's mean of data is not that of its light: pixels that are brighter lie deeper, or less deep.
         """
@@ -667,10 +667,10 @@ class _Fitter:
         linear = self.linear
         self.patchy = self._patchiness(linear.samples, linear.columns)
         system = linear.system
-        noise = np.where(np.isfinite(system.variance), system.variance - self.doubt_dn2, 0.0)
-        own = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
-        away = np.abs(system.residuals_dn(linear.solution))
-        self.doubt_dn2 = own * np.maximum(away / DOUBTED_SIGMAS - own, 0.0)
+        noise = np.where(np.isfinite(system.variance), system.variance, 1.0)
+        sigma = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
+        away = np.abs(system.residuals_dn(linear.solution)) / sigma
+        self.doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
         self._solve_at(linear.samples, linear.columns)
 
     def _iterate(self, most: int) -> None:
@@ -886,9 +886,10 @@ class _Fitter:
         whole, data, means = gathered(cell, weight, near.data_dn, both, problem.pieces, problem.edges)
         usable = whole > 0.0
         share = means[-2] / np.where(usable, whole, 1.0)  # of a pixel in its cell
-        uneven = np.maximum(means[-1] - means[0] ** 2, 0.0) * share
+        # Light that differs within a cell, pixel by pixel; and the one pixel by which an edge lies here or there.
+        uneven = np.maximum(means[-1] - means[0] ** 2, 0.0) * share + (means[0] * share) ** 2
         patches = self.brightness**2 * self.patchy[:, None] * uneven
-        variance = np.where(usable, 1.0 / np.where(usable, whole, 1.0) + patches + self.doubt_dn2, np.inf)
+        variance = np.where(usable, self.doubt / np.where(usable, whole, 1.0) + patches, np.inf)
         return variance, data, means[:-2]
 
     def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:
