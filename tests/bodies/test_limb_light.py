@@ -64,13 +64,13 @@ def test_light_is_tabulated_at_the_law_that_the_picture_has():
     assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0
 
 
-def test_an_edge_within_a_piece_of_limb_is_no_grain_of_the_whole(body_stage):
-    """Half of the surface is nine times darker, with a sharp edge: all else is even, and the fit says so."""
-    model = body_stage.body(300.0, 15.0, CENTER)
-    light = body_stage.light(model)
-    dark = np.arange(1024)[:, None] - CENTER[1] + 0.23 * (np.arange(1024) - CENTER[0]) > 0.0
-    light[dark] /= 9.0
-    picture = body_stage.picture(light, [model], np.random.default_rng(4))
-    disk = measure_disk(picture, "BODY", "disk", None, None)
-    assert disk.fit.prior.grain < 0.004  # measured without: 0.02
-    assert np.hypot(*(disk.fit.center_px - CENTER)) < 0.15
+def test_edges_within_pieces_of_limb_are_not_taken_for_a_rough_limb():
+    """Patches as wide as the body, nine times darker: cells that an edge cuts made the limb seem rough by 0.1 px."""
+    trial = make_trial(
+        TrialSetup(4, 200.0, 25.0, family="blobs_1.0", contrast=9.0, law="lambert", peak_dn=1500.0)
+    )
+    fit = measure_disk(trial.picture, trial.name, "disk", None, None).fit
+    assert fit.prior.rough_px < 0.05  # measured: 0.03, and 0.11 without
+    assert np.sqrt(np.trace(fit.covariance_px2)) < 0.15  # 0.10, and 0.26
+    error = fit.center_px - trial.truth_px
+    assert error @ np.linalg.solve(fit.covariance_px2, error) < 14.0

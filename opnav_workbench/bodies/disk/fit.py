@@ -568,10 +568,8 @@ class _Fitter:
     def run(self) -> DiskFit:
         self._solve()
         self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
-        for turn, steps in enumerate(self.tuning):
+        for steps in self.tuning:
             self._tune(steps, other_light=self.made.light.on_slopes is None)
-            if turn == 0:
-                self._take_likeliest_law()
             self._iterate(MOST_TURNS)
         for _ in range(MOST_FINE):
             if not self.made.light.fine or self._stale(LAST):
@@ -663,26 +661,6 @@ class _Fitter:
         free = np.maximum(count - 1.0, 0.0)
         beyond = np.sum(count * (square[0] - mean**2) - free * expected, axis=1)
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
-
-    def _take_likeliest_law(self) -> None:
-        """Begin with the share of the law, a sigma more or less than expected or as that, that makes the pixels likeliest.
-
-        On a patched surface there is no way downhill from one to another: the albedo is on the light that the law has.
-        """
-        best, mean, sigma = self._state(), *self.problem.law_prior[:2]
-        first = _first_brightness(self.problem, self.made)
-        for share in (mean - sigma, mean + sigma):
-            law = np.clip([share, 0.0], *self.problem.law_bounds)
-            self.shape = replace(best.shape, law=law)
-            self.made = self.problem.tabulated(self.shape, on_slopes=self.prior.on_slopes)
-            self.brightness = best.brightness / first * _first_brightness(self.problem, self.made)
-            self.piece_albedo = best.piece_albedo
-            self._solve()
-            self._reweigh()
-            if self.linear.solution.log_likelihood > best.linear.solution.log_likelihood:
-                best = self._state()
-        self._return_to(best)
-        self.likelihood = best.linear.solution.log_likelihood
 
     def _doubt(self) -> None:
         """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
