@@ -145,9 +145,14 @@ def picture_from_stored(
     planes = make_planes(name, source, header, keywords, saturation_dn)
     exposure_s = _exposure(name, header, keywords)
     time = _time(name, header, keywords, exposure_s)
-    read = header_geometry(header, keywords)
-    wrong = (*_exposure_contradictions(header, keywords, exposure_s, time), *read.contradictions)
+    times = [et for et in (time.et, time.rival_et) if et is not None]
+    read = header_geometry(header, keywords, times)
     sclk = keywords.value(header, "sclk")
+    wrong = (
+        *_exposure_contradictions(header, keywords, exposure_s, time),
+        *read.contradictions,
+        *_clock_contradictions(header, keywords, sclk),
+    )
     return Picture(
         path=path,
         sha256=sha256,
@@ -166,6 +171,25 @@ def picture_from_stored(
         rival_et=time.rival_et,
         keywords=keywords,
     )
+
+
+CLOCK_READING = re.compile(r"(?:\d+/)?(?P<seconds>\d+)")
+CLOCK_S = 2.0  # a count of whole seconds, begin and end counted likewise
+
+
+def _clock_contradictions(header: Header, keywords: KeywordMap, sclk: HeaderValue | None) -> tuple[str, ...]:
+    """Return what a clock reading says against itself, or against a begin and end that are counts of the same clock."""
+    if sclk is None:
+        return ()
+    reading = CLOCK_READING.search(str(sclk))
+    if reading is None:
+        return (f"{keywords.sclk} = {sclk!r} is no reading of a clock",)
+    span = [header_number(keywords.value(header, name)) for name in ("begin", "end")]
+    known = [seconds for seconds in span if seconds is not None]
+    if len(known) < len(span) or min(known) - CLOCK_S <= float(reading["seconds"]) <= max(known) + CLOCK_S:
+        return ()
+    span_words = f"{keywords.begin} = {known[0]:.12g} to {keywords.end} = {known[1]:.12g}"
+    return (f"the clock reading {keywords.sclk} = {sclk} lies outside {span_words}",)
 
 
 def _size_words(shape: tuple[int, ...]) -> dict[str, HeaderValue]:
