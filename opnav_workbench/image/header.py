@@ -137,6 +137,7 @@ SAME_NUMBER = 1e-9  # relative: -1E+32 as printed and as read
 EXPOSURES_TO_MIDDLE = {"middle": 0.0, "start": 0.5, "end": -0.5}
 CHOICES = {
     "quaternion_sense": ("camera_to_j2000", "j2000_to_camera"),
+    "sclk_at": ("exposure", "middle"),
     "time_reference": tuple(EXPOSURES_TO_MIDDLE),
     "quality_table": tuple(QUALITY_TABLES),
 }
@@ -156,6 +157,8 @@ class KeywordMap:
         Exposure time; times `exposure_scale` it is in seconds.
     et, utc, sclk
         Time of the picture: TDB seconds past J2000, UTC text, spacecraft clock.
+    sclk_at : {"exposure", "middle"}
+        What `sclk` refers to: some instant from the command to the telemetry of the exposure, or its very middle.
     time_reference
         What `et` and `utc` refer to; the start or the end of the exposure is shifted by half of it.
     time_offset_s
@@ -164,9 +167,8 @@ class KeywordMap:
         Of one of several frames that share a time: its number, counted from 1, and the seconds from one to the next, which
         are longer than said by the last.
     begin, end
-        When the exposure began and ended, in UTC or in seconds of the clock of `sclk`: what exposure, times and clock are held
-        against.
-        Unless named, the standards' own words: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME`` and ``STOP_TIME`` (PDS).
+        When the exposure began and ended, in UTC or in seconds of the clock of `sclk`: what exposure and times are held
+        against. Unless named, the standards' own words: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME`` and ``STOP_TIME`` (PDS).
     quaternion : sequence of 4 str
         SPICE order, scalar first; its sense is `quaternion_sense`.
     boresight : sequence of 2 str
@@ -223,6 +225,7 @@ class KeywordMap:
     et: str | None = None
     utc: str | None = None
     sclk: str | None = None
+    sclk_at: Literal["exposure", "middle"] = "exposure"
     time_reference: Literal["middle", "start", "end"] = "middle"
     time_offset_s: float = 0.0
     frame: str | None = None

@@ -15,7 +15,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID, SUN_ID
-from opnav_workbench.errors import ImageError, KernelError
+from opnav_workbench.errors import KernelError
 from opnav_workbench.image import Picture, barycentric_from_heliocentric, unknown_velocity_sigma_km_s
 from opnav_workbench.kernels import body_attitude, body_radii_km, state
 from opnav_workbench.targets import TargetState, star_target

@@ -7,7 +7,8 @@ compared can know:
 
 Clock       a reading anywhere in the exposure, one count of its last field, the clock's drift beyond the kernel's last
             record, the time's printed digits, and a second between command, shutter and telemetry: labels of twelve missions
-            (New Horizons to Voyager) stay within it, those of Galileo by 0.6 s
+            (New Horizons to Voyager) stay within it, those of Galileo by 0.6 s; a tenth of one where the mission's file says
+            that the reading is that of the middle
 Trajectory  a maneuver of 10 m/s that one of the two does not know, and a month of flight since: predicted trajectories of
             New Horizons differ by 100 to 600 km; and 120 km by which kernels and the series for the barycenter differ
 Earth       1,000 km where the header states its place with respect to the spacecraft: half a minute of its motion
@@ -42,6 +43,7 @@ from opnav_workbench.session.context import Context
 __all__ = ["SettledTime", "attitude_contradiction", "header_attitude", "settled_time"]
 
 COMMAND_TO_TELEMETRY_S = 1.0
+PREDICTED_CLOCK_S = 0.1  # New Horizons' headers of 2020 and a clock kernel made later: 0.011 s
 UNKNOWN_MANEUVER_KM_S, SINCE_S = 0.010, 30.0 * DAY_S
 BARYCENTER_KM = 120.0
 TRAJECTORY_KM = UNKNOWN_MANEUVER_KM_S * SINCE_S + BARYCENTER_KM
@@ -133,10 +135,13 @@ def _against_clock(context: Context, keywords: KeywordMap, et: float) -> str | N
     except KernelError:  # written otherwise than the kernel's clock
         return None
     stated = keywords.value(picture.header, "utc") or keywords.value(picture.header, "et")
-    tolerance += time_tolerance_s(stated) + COMMAND_TO_TELEMETRY_S
-    tolerance += 0.5 * float(np.nan_to_num(picture.exposure_s))
-    rows = context.camera.rows
-    tolerance += 0.0 if rows is None else 0.5 * rows.span_s(context.camera.n_line)
+    tolerance += time_tolerance_s(stated)
+    if keywords.sclk_at == "middle":
+        tolerance += PREDICTED_CLOCK_S
+    else:
+        rows = context.camera.rows
+        span_s = 0.0 if rows is None else rows.span_s(context.camera.n_line)
+        tolerance += COMMAND_TO_TELEMETRY_S + 0.5 * (float(np.nan_to_num(picture.exposure_s)) + span_s)
     if abs(off) <= tolerance:
         return ""
     return (

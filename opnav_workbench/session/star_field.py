@@ -312,8 +312,9 @@ def _of_other_brightness(
     if not answer.sure or answer.zero_point_mag is None or not np.isfinite(answer.zero_point_mag):
         return ""
     off = answer.zero_point_mag - expected
+    how = f"{abs(off):.1f} mag {'brighter' if off > 0.0 else 'fainter'}"
     return (
-        f"the stars stand in their places ({answer.message}), but are {abs(off):.1f} mag {'brighter' if off > 0.0 else 'fainter'} than an exposure of "
+        f"the stars stand in their places ({answer.message}), but are {how} than an exposure of "
         f"{context.picture.exposure_s:g} s makes them"
     )
 
