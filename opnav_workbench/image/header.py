@@ -168,7 +168,7 @@ class KeywordMap:
         are longer than said by the last.
     begin, end
         When the exposure began and ended, in UTC or in seconds of the clock of `sclk`: what exposure and times are held
-        against. Unless named, the standards' own words: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME`` and ``STOP_TIME`` (PDS).
+        against. Unless named, the standards' own: ``DATE-BEG`` and ``DATE-END`` (FITS), ``START_TIME``, ``STOP_TIME`` (PDS).
     quaternion : sequence of 4 str
         SPICE order, scalar first; its sense is `quaternion_sense`.
     boresight : sequence of 2 str
