@@ -328,9 +328,7 @@ class KeywordMap:
         value = header_number(self.known(header, word))
         if value is None or not math.isfinite(value):
             return None
-        piece = PIECE.fullmatch(word)
-        unit = str(header.get((piece["word"] if piece else word) + OF_UNIT, "")).strip().lower()
-        return value * UNITS.get(unit, 1.0) * (1.0 if named is word else -1.0)
+        return value * UNITS.get(unit_of(header, word), 1.0) * (1.0 if named == word else -1.0)
 
 
 def _piece(value: HeaderValue | None, number: int) -> HeaderValue | None:
@@ -343,9 +341,19 @@ def _piece(value: HeaderValue | None, number: int) -> HeaderValue | None:
 
 
 OF_UNIT = " <UNIT>"  # after a keyword: what its value is counted in, where the label says it
-UNITS = {  # in km, km/s and degrees, where the label says another
-    "m": 1e-3, "au": AU_KM, "m/s": 1e-3, "rad": math.degrees(1.0), "radian": math.degrees(1.0), "arcsec": 1.0 / 3600.0,
+UNITS = {  # in km, km/s and degrees
+    **dict.fromkeys(("km", "kilometer", "kilometers", "km/s", "km/sec", "deg", "degree", "degrees", "n/a", ""), 1.0),
+    **dict.fromkeys(("m", "meter", "meters", "m/s", "m/sec"), 1e-3), "au": AU_KM, "arcsec": 1.0 / 3600.0,
+    **dict.fromkeys(("rad", "radian", "radians"), math.degrees(1.0)),
 }  # fmt: skip
+
+
+def unit_of(header: Mapping[str, HeaderValue], word: str) -> str:
+    """Return the unit that a label gives a word, or one of its pieces, in small letters; empty where it gives none."""
+    piece = PIECE.fullmatch(word)
+    return str(header.get((piece["word"] if piece else word) + OF_UNIT, "")).strip().lower()
+
+
 SECONDS_OF_UNIT = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e-3),
@@ -362,7 +370,19 @@ def stated_unit_s(header: Mapping[str, HeaderValue], keyword: str) -> float | No
     >>> stated_unit_s({"EXPOSURE": 20, "EXPOSURE <UNIT>": "MSEC"}, "EXPOSURE")
     0.001
     """
-    return SECONDS_OF_UNIT.get(str(header.get(keyword + OF_UNIT, "")).strip().lower())
+    return SECONDS_OF_UNIT.get(unit_of(header, keyword))
+
+
+def unread_units(header: Header, keywords: KeywordMap) -> tuple[str, ...]:
+    """Return a line for each word whose label counts it in a unit that is not known: it is taken as the mission says."""
+    exposure = [(word, SECONDS_OF_UNIT) for word in keywords.words("exposure_s")]
+    others = [(word, UNITS) for name in (*LENGTHS, "twist") for word in keywords.words(name)]
+    said = (
+        f"{word} is in <{unit}>, which is no unit of it that is known; it is taken as the mission file says"
+        for word, known in (*exposure, *others)
+        if (unit := unit_of(header, word)) and unit not in known and keywords.known(header, word) is not None
+    )
+    return tuple(dict.fromkeys(said))
 
 
 def header_number(value: HeaderValue | None) -> float | None:

@@ -36,6 +36,7 @@ from opnav_workbench.image.header import (
     header_matches,
     header_number,
     stated_unit_s,
+    unread_units,
     unread_words,
 )
 from opnav_workbench.image.planes import make_planes
@@ -151,6 +152,7 @@ def picture_from_stored(
     wrong = (
         *_exposure_contradictions(header, keywords, exposure_s, time),
         *read.contradictions,
+        *unread_units(header, keywords),
         *_clock_contradictions(header, keywords, sclk),
     )
     return Picture(

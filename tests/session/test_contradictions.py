@@ -180,7 +180,7 @@ def test_near_a_giant_planet_all_ways_are_free():
     jupiter = erfa.plan94(J2000_JD, et / DAY_S, 5)
     place = jupiter["p"] * AU_KM + [1.5e5, 0.0, 0.0]
     velocity = jupiter["v"] * AU_KM / DAY_S
-    backward = velocity - 38.0 * velocity / np.linalg.norm(velocity)
+    backward = velocity - 34.0 * velocity / np.linalg.norm(velocity)
     assert believed_state(place, backward, ("X", "V"), [et]).contradictions == ()
     (line,) = believed_state(1.5 * place, backward, ("X", "V"), [et]).contradictions
     assert "backward" in line
@@ -219,14 +219,14 @@ EARTHLY = [f"SPCESC{axis}" for axis in "XYZ"]
         ({"SPCSCLK": lambda _: "3/0001000000:00000"}, ["SPCSCLK = 3/0001000000:00000 lies outside STARTMET"]),
         (dict.fromkeys(VELOCITY, lambda v: 0.5 * v), ["6.984 km/s off what the Earth's with respect to"]),
         (dict.fromkeys((*PLACE, *VELOCITY), lambda v: -v), ["27.94 km/s off", "put the Earth 1.40982e+10 km from"]),
-        (dict.fromkeys(EARTHLY, lambda x: 1.001 * x), ["put the Earth 7.01", "time or one of the places is wrong"]),
+        (dict.fromkeys(EARTHLY, lambda x: 1.001 * x), ["put the Earth 7.00976e+06 km from where it was"]),
         ({"SPCQX": lambda q: -q}, ["SPCBRRA, SPCBRDEC are 48.65 deg apart; neither is used"]),
         ({"SPCBRDEC": lambda dec: dec + 0.5}, ["SPCBRRA, SPCBRDEC are 0.5 deg apart; neither is used"]),
     ],
 )  # fmt: skip
 def test_a_flight_header_against_itself(data_dir, tmp_path, changes, said):
     """Without kernels: Earth and Sun, time, clock, and two statements of where the camera looks."""
-    frame = data_dir / "images" / "lorri_interstellar" / "lor_0449933827_0x633_pwcs2.fits"
+    frame = data_dir / "images" / "lorri_interstellar" / "lor_0449855930_0x633_pwcs2.fits"
     path = shutil.copyfile(frame, tmp_path / "a.fits")
     with fits.open(path, mode="update", output_verify="silentfix") as hdus:
         for keyword, change in changes.items():
@@ -277,8 +277,8 @@ QUATERNION = "QUATERNION = (\n 0.5213655224\n , -0.1747575947\n , 0.1361764644\n
     [
         ({"quaternion": QUATERNION}, [289.7529, 64.3999, 264.3935], ""),
         ({"quaternion": ""}, [289.753, 64.4, 264.394], ""),
-        ({"quaternion": QUATERNION, "twist": "55.606"}, None, "TWIST_ANGLE are turned by 40 deg"),
-        ({"quaternion": QUATERNION, "ra": "280.753"}, None, "DECLINATION, TWIST_ANGLE are 3.89 deg apart"),
+        ({"quaternion": QUATERNION, "twist": "55.606"}, None, "TWIST_ANGLE are turned by -40 deg"),
+        ({"quaternion": QUATERNION, "ra": "280.753"}, None, "DECLINATION, TWIST_ANGLE are 3.885 deg apart"),
         ({"quaternion": "", "twist": '"N/A"'}, None, ""),
     ],
 )
@@ -291,6 +291,7 @@ def test_a_label_s_quaternion_and_angles(tmp_path, told, angles, said):
     attitude, contradictory = header_attitude(context)
     assert said in " ".join(contradictory)
     assert bool(said) == bool(contradictory)
+    assert context.picture.contradictions == ()
     if angles is None:
         assert attitude is None
     else:
@@ -334,3 +335,13 @@ def test_a_given_shape_asks_no_kernel_for_another(truth, kernels, tmp_path, monk
     )
     with_it = with_target(session.context, session.source, session.inputs, "PLUTO")
     assert with_it.shapes["PLUTO"] == shape
+
+
+@pytest.mark.parametrize(("unit", "said"), [("<ticks>", "EXPOSURE_DURATION is in <ticks>"), ("<MSEC>", "")])
+def test_a_unit_that_nobody_knows(tmp_path, unit, said):
+    label = LABEL.format(ra=10.0, twist=1.0, quaternion="").replace("<millisecond>", unit).encode()
+    (tmp_path / "fc2.img").write_bytes(label.ljust(2048) + bytes(range(256)) * 4096)
+    picture = read_image(tmp_path / "fc2.img", KeywordMap(**load_mission("dawn").keywords))
+    assert picture.exposure_s == 1.8
+    assert " ".join(picture.contradictions).startswith(said)
+    assert bool(picture.contradictions) == bool(said)
