@@ -276,8 +276,8 @@ def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) ->
     shift_s = _to_middle_s(name, header, keywords, exposure_s)
     off = 0.0 if stated is None else known - stated
     agree = abs(off) <= time_tolerance_s(text, keywords.value(header, "et"))
-    keep = agree and shift_s == 0.0 and text is not None and ISO_CALENDAR.fullmatch(str(text))
-    keep = keep and _scale_of(header, keywords.utc) == "utc"
+    as_stated = agree and shift_s == 0.0 and _scale_of(header, keywords.utc) == "utc"
+    keep = as_stated and text is not None and ISO_CALENDAR.fullmatch(str(text))
     utc = str(text) if keep else _utc_of(name, known + shift_s)
     if agree or stated is None:
         return _StatedTime(known + shift_s, utc, impossible, None, impossible)
