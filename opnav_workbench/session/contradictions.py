@@ -12,8 +12,8 @@ Clock       a reading anywhere in the exposure, one count of its last field, the
 Trajectory  a maneuver of 10 m/s that one of the two does not know, and a month of flight since: predicted trajectories of
             New Horizons differ by 100 to 600 km; and 120 km by which kernels and the series for the barycenter differ
 Earth       1,000 km where the header states its place with respect to the spacecraft: half a minute of its motion
-Attitude    five sigmas of two a priori attitudes, as the camera file states them; of two statements in one header, what lies
-            between boresight and middle of the detector, aberration, and five pixels of what was known of the mounting
+Attitude    five sigmas of two a priori attitudes, as the camera file states them; of two statements in one header also what
+            lies between boresight and middle of the detector, and aberration
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,7 +48,6 @@ UNKNOWN_MANEUVER_KM_S, SINCE_S = 0.010, 30.0 * DAY_S
 BARYCENTER_KM = 120.0
 TRAJECTORY_KM = UNKNOWN_MANEUVER_KM_S * SINCE_S + BARYCENTER_KM
 ATTITUDE_SIGMAS = 5.0
-MOUNTING_PX = 5.0
 ABERRATION_RAD = 60.0 / SPEED_OF_LIGHT_KM_S  # of a spacecraft at Mercury, in one of two statements
 
 
@@ -186,7 +185,7 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
 
 
 def header_attitude(context: Context) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Return the attitude that a header states, and what contradicts it; None where it states none, or two.
+    """Return the attitude that a header states, and what contradicts it; None where it states none.
 
     It is that of the quaternion, held against the boresight's right ascension and declination; or that of these and a twist.
     """
@@ -211,14 +210,15 @@ def header_attitude(context: Context) -> tuple[FloatArray | None, tuple[str, ...
         if off > _can_be_off_rad(camera)
         else f"turned by {np.degrees(turned):.4g} deg"
     )
-    return None, (f"the attitude of {by} and that of {stated} are {how}; neither is used",)
+    return attitude, (f"the attitude of {by} and that of {stated} are {how}; the first is used",)
 
 
 def _can_be_off_rad(camera: Camera) -> float:
     """Return how far the boresight and what a header calls so may lie apart."""
     middle = camera.unproject(0.5 * np.array([camera.n_pixel - 1.0, camera.n_line - 1.0]))
     from_middle = float(np.nan_to_num(angle_between(middle, camera.boresight)))
-    return from_middle + MOUNTING_PX * camera.pixel_scale_rad + ABERRATION_RAD
+    known_px = ATTITUDE_SIGMAS * np.sqrt(2.0) * camera.attitude_sigma.cross_px
+    return from_middle + float(known_px) * camera.pixel_scale_rad + ABERRATION_RAD
 
 
 def attitude_contradiction(context: Context, et: float) -> tuple[str, ...]:

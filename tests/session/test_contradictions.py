@@ -220,8 +220,8 @@ EARTHLY = [f"SPCESC{axis}" for axis in "XYZ"]
         (dict.fromkeys(VELOCITY, lambda v: 0.5 * v), ["6.984 km/s off what the Earth's with respect to"]),
         (dict.fromkeys((*PLACE, *VELOCITY), lambda v: -v), ["27.94 km/s off", "put the Earth 1.40982e+10 km from"]),
         (dict.fromkeys(EARTHLY, lambda x: 1.001 * x), ["put the Earth 7.00976e+06 km from where it was"]),
-        ({"SPCQX": lambda q: -q}, ["SPCBRRA, SPCBRDEC are 48.65 deg apart; neither is used"]),
-        ({"SPCBRDEC": lambda dec: dec + 0.5}, ["SPCBRRA, SPCBRDEC are 0.5 deg apart; neither is used"]),
+        ({"SPCQX": lambda q: -q}, ["SPCBRRA, SPCBRDEC are 48.65 deg apart; the first is used"]),
+        ({"SPCBRDEC": lambda dec: dec + 0.5}, ["SPCBRRA, SPCBRDEC are 0.5 deg apart; the first is used"]),
     ],
 )  # fmt: skip
 def test_a_flight_header_against_itself(data_dir, tmp_path, changes, said):
@@ -277,8 +277,16 @@ QUATERNION = "QUATERNION = (\n 0.5213655224\n , -0.1747575947\n , 0.1361764644\n
     [
         ({"quaternion": QUATERNION}, [289.7529, 64.3999, 264.3935], ""),
         ({"quaternion": ""}, [289.753, 64.4, 264.394], ""),
-        ({"quaternion": QUATERNION, "twist": "55.606"}, None, "TWIST_ANGLE are turned by -40 deg"),
-        ({"quaternion": QUATERNION, "ra": "280.753"}, None, "DECLINATION, TWIST_ANGLE are 3.885 deg apart"),
+        (
+            {"quaternion": QUATERNION, "twist": "55.606"},
+            [289.7529, 64.3999, 264.3935],
+            "TWIST_ANGLE are turned by -40 deg",
+        ),
+        (
+            {"quaternion": QUATERNION, "ra": "280.753"},
+            [289.7529, 64.3999, 264.3935],
+            "DECLINATION, TWIST_ANGLE are 3.885 deg apart",
+        ),
         ({"quaternion": "", "twist": '"N/A"'}, None, ""),
     ],
 )
