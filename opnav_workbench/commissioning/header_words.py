@@ -10,7 +10,7 @@ from typing import Any
 
 from opnav_workbench.camera import Origin
 from opnav_workbench.camera.origins import How
-from opnav_workbench.image import Header
+from opnav_workbench.image import Header, KeywordMap
 from opnav_workbench.image.header import OF_UNIT, stated_unit_s
 
 __all__ = ["HeaderWords", "header_words"]
@@ -31,6 +31,7 @@ QUATERNIONS = (
     (("QW", "QX", "QY", "QZ"), ""),
     (("Q0", "Q1", "Q2", "Q3"), ""),
     (("QUATERNION_W", "QUATERNION_X", "QUATERNION_Y", "QUATERNION_Z"), ""),
+    (("QUATERNION[1]", "QUATERNION[2]", "QUATERNION[3]", "QUATERNION[4]"), ""),
 )
 SUN_STATES = (
     (("SUNPOSX", "SUNPOSY", "SUNPOSZ"), ("SUNVELX", "SUNVELY", "SUNVELZ")),
@@ -113,8 +114,8 @@ def _first(header: Header, names: tuple[str, ...]) -> str:
 
 def _number(header: Header, name: str) -> float | None:
     try:
-        return float(str(header[name]).split()[0])
-    except (ValueError, KeyError, IndexError):
+        return float(str(KeywordMap().known(header, name)).split()[0])
+    except (ValueError, IndexError):
         return None
 
 

@@ -20,8 +20,13 @@ CALENDAR = re.compile(r"(\d{4})-(\d\d)-(\d\d)[T ](\d\d):(\d\d)(?::([0-5]\d(?:\.\
 ERFA_YEARS = range(1972, 2026)
 
 
-def et_from_text(utc: str) -> float:
+def et_from_text(utc: str, scale: str = "utc") -> float:
     """Return TDB seconds past J2000 of a UTC text: calendar or day of year, with or without a final Z.
+
+    Parameters
+    ----------
+    scale : {"utc", "tai", "tt", "tdb"}
+        Of the text, where it is another one.
 
     Raises
     ------
@@ -38,12 +43,12 @@ def et_from_text(utc: str) -> float:
         raise ValueError(f"{utc!r} has no time of day")
     if match := DAY_OF_YEAR.fullmatch(text):
         text = ":".join(match.groups())
-    time = _plain_calendar_tdb(text)
+    time = _plain_calendar_tdb(text) if scale == "utc" else None
     if time is None:
         from astropy.time import Time  # noqa: PLC0415 (loads tables, a tenth of a short command)
 
         try:
-            found = Time(text, scale="utc").tdb
+            found = Time(text, scale=scale).tdb
         except ValueError:  # one line for each of the library's forms
             raise ValueError(
                 "no such date, or not of the form 2015-07-01T12:00:00.000 or 2015-182T12:00:00"

@@ -7,21 +7,41 @@ What takes kernels to tell stands in ``session.contradictions``.
 Times       differ by more than their last printed digits, and the 0.05 ms by which implementations of TDB differ
 Exposure    longer than a day, or than the span that the header states; its middle outside that span
 Position    inside the Sun, or farther from it than a thousand astronomical units: kilometers are meant
-Velocity    slower than any orbit that clears the Sun, or faster than the Sun's and the deepest planet's wells make:
-            zero, and meters or astronomical units in the place of kilometers
+Velocity    slower than any orbit that clears the Sun, or faster than the Sun's well and that of a planet at hand make: zero,
+            meters or astronomical units in the place of kilometers, most doubled ones; backward around the Sun, far from
+            planets: a sign or axes
+Earth       its place and velocity with respect to the spacecraft, where they are stated too, put it where it was not
 Attitude    four numbers that are no rotation (`opnav_workbench.image.header`)
 """
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import erfa
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.constants import AU_KM, DAY_S, SUN_GM_KM3_S2, SUN_RADIUS_KM
+from opnav_workbench.constants import (
+    AU_KM,
+    DAY_S,
+    J2000_JD,
+    SPEED_OF_LIGHT_KM_S,
+    SUN_GM_KM3_S2,
+    SUN_RADIUS_KM,
+)
+from opnav_workbench.geometry import angle_between
 
-__all__ = ["BelievedState", "believed_state", "check_exposure", "printed_unit_s", "time_tolerance_s"]
+__all__ = [
+    "EARTH_KM",
+    "BelievedState",
+    "believed_state",
+    "check_exposure",
+    "earth_is_off",
+    "printed_unit_s",
+    "time_tolerance_s",
+]
 
 # s: SPICE keeps one term of TDB - TT; ERFA's series differs by up to 0.05 ms.
 TIME_SCALES_S = 5e-5
@@ -33,6 +53,12 @@ FASTEST_LEAVING_KM_S = 17.0  # Voyager 1, the fastest of those that leave the Su
 DEEPEST_WELL_KM_S = (
     60.0  # escape speed at Jupiter's cloud tops: a spacecraft there has that beside the planet's motion
 )
+# GM over the Sun's, by the numbers of `erfa.plan94`, Mercury to Neptune (IAU 2009 masses).
+PLANET_MASSES = np.array([1.66e-7, 2.448e-6, 3.040e-6, 3.227e-7, 9.548e-4, 2.859e-4, 4.366e-5, 5.151e-5])
+ECLIPTIC_NORTH = np.array([0.0, -math.sin(math.radians(23.4393)), math.cos(math.radians(23.4393))])
+STEEPEST_DEG = 100.0  # no spacecraft's path leaned more than Ulysses', 80 deg
+EARTH_KM = 1000.0  # the series and headers agree to 60 km; half a minute of the Earth's motion
+EARTH_KM_S = 0.01  # seven times the rate of light time, which is in some velocities
 MERCURY_PERIHELION_KM = 0.3075 * AU_KM  # where nothing tells the distance: the Sun's well is deep there
 
 
@@ -127,7 +153,11 @@ class BelievedState:
 
 
 def believed_state(
-    position_km: FloatArray | None, velocity_km_s: FloatArray | None, keywords: tuple[str, str]
+    position_km: FloatArray | None,
+    velocity_km_s: FloatArray | None,
+    keywords: tuple[str, str],
+    times: Sequence[float] = (),
+    earth: tuple[FloatArray | None, FloatArray | None] = (None, None),
 ) -> BelievedState:
     """Return a heliocentric state as it can be believed.
 
@@ -137,6 +167,10 @@ def believed_state(
         As stated, with respect to the Sun.
     keywords
         The header's words for position and velocity, for messages.
+    times
+        When that was, by each of the header's statements, TDB s past J2000: where the planets were.
+    earth : pair of (3,) arrays or None
+        Position and velocity of the Earth with respect to the spacecraft, as stated beside it.
 
     Notes
     -----
@@ -144,7 +178,7 @@ def believed_state(
     the fastest that leaves the Sun from there, ``2 GM / r + (17 km/s)^2``.
     """
     said: list[str] = []
-    distance = MERCURY_PERIHELION_KM
+    distance, place = MERCURY_PERIHELION_KM, position_km
     if position_km is not None:
         distance = float(np.linalg.norm(position_km))
         if not SUN_RADIUS_KM < distance < FARTHEST_KM:
@@ -152,11 +186,12 @@ def believed_state(
                 f"{keywords[0]} state a place {distance:.6g} km from the Sun's center, where no spacecraft is; "
                 "it is not used (kilometers are meant), and stars have no parallax unless kernels tell the place"
             )
-            position_km, distance = np.zeros(3), MERCURY_PERIHELION_KM
+            position_km, distance, place = np.zeros(3), MERCURY_PERIHELION_KM, None
     sigma = 0.0
-    if velocity_km_s is not None and (wrong := _wrong_speed(float(np.linalg.norm(velocity_km_s)), distance)):
+    wrong = "" if velocity_km_s is None else _wrong_velocity(velocity_km_s, distance, place, times, earth)
+    if wrong:
         sigma = unknown_velocity_sigma_km_s(distance)
-        said.append(f"{keywords[1]} state a velocity of {wrong}; it is not used")
+        said.append(f"{keywords[1]} state a velocity {wrong}; it is not used")
         velocity_km_s = np.zeros(3)
     return BelievedState(position_km, velocity_km_s, sigma, tuple(said))
 
@@ -166,13 +201,82 @@ def unknown_velocity_sigma_km_s(distance_km: float = MERCURY_PERIHELION_KM) -> f
     return math.sqrt((2.0 * SUN_GM_KM3_S2 / distance_km + FASTEST_LEAVING_KM_S**2) / 3.0)
 
 
-def _wrong_speed(speed_km_s: float, distance_km: float) -> str:
-    """Return what is wrong with a speed with respect to the Sun, at a distance from it; empty if nothing is."""
+def _wrong_velocity(
+    velocity_km_s: FloatArray,
+    distance_km: float,
+    place_km: FloatArray | None,
+    times: Sequence[float],
+    earth: tuple[FloatArray | None, FloatArray | None],
+) -> str:
+    """Return what is wrong with a velocity with respect to the Sun; empty if nothing is."""
+    speed = float(np.linalg.norm(velocity_km_s))
     well = 2.0 * SUN_GM_KM3_S2 / distance_km
+    near = DEEPEST_WELL_KM_S
+    if place_km is not None and times:
+        near = max(_planet_well_km_s(place_km, et) for et in times)
     slowest = math.sqrt(well * SUN_RADIUS_KM / (distance_km + SUN_RADIUS_KM))
-    fastest = math.sqrt(well) + DEEPEST_WELL_KM_S
-    if speed_km_s < slowest:
-        return f"{speed_km_s:.4g} km/s, with which a spacecraft there falls into the Sun (below {slowest:.2g} km/s)"
-    if speed_km_s > fastest:
-        return f"{speed_km_s:.6g} km/s, faster than any spacecraft there (above {fastest:.0f} km/s)"
-    return ""
+    fastest = math.hypot(math.sqrt(well), FASTEST_LEAVING_KM_S) + near
+    if speed < slowest:
+        return f"of {speed:.4g} km/s, with which a spacecraft there falls into the Sun (below {slowest:.2g} km/s)"
+    if speed > fastest:
+        return f"of {speed:.6g} km/s, faster than any spacecraft there (above {fastest:.0f} km/s)"
+    if place_km is not None and times and near == 0.0:
+        turning = np.cross(place_km, velocity_km_s)
+        leaning = float(np.degrees(angle_between(turning, ECLIPTIC_NORTH))) if turning.any() else 0.0
+        if leaning > STEEPEST_DEG:
+            return (
+                f"that goes backward around the Sun ({leaning:.0f} deg against the ecliptic, {STEEPEST_DEG:.0f} at most): "
+                "its sign or axes, or those of the place, are wrong"
+            )
+    return _against_earth(velocity_km_s, place_km, times, earth)
+
+
+def _planet_well_km_s(place_km: FloatArray, et: float) -> float:
+    """Return the escape speed at a place from the planet in whose Hill sphere it lies, 0 where it lies in none."""
+    planets = erfa.plan94(J2000_JD, et / DAY_S, np.arange(1, len(PLANET_MASSES) + 1))["p"] * AU_KM
+    far = np.linalg.norm(planets - place_km, axis=1)
+    hill = np.linalg.norm(planets, axis=1) * np.cbrt(PLANET_MASSES / 3.0)
+    wells = np.sqrt(2.0 * SUN_GM_KM3_S2 * PLANET_MASSES / far)
+    return float(np.max(wells, where=far < hill, initial=0.0))
+
+
+# ---- The Earth's place and velocity, where they are stated too.
+
+
+def earth_is_off(place_km: FloatArray, earth_km: FloatArray, et: float) -> tuple[float, FloatArray]:
+    """Return how far a place and the Earth's with respect to it put the Earth from where it is, and was as light left.
+
+    Parameters
+    ----------
+    place_km, earth_km : (3,) array
+        Spacecraft with respect to the Sun, Earth with respect to the spacecraft.
+
+    Returns
+    -------
+    off_km
+        The nearer of the two.
+    earth_velocity_km_s : (3,) array
+        Of the Earth with respect to the Sun then.
+    """
+    light_s = float(np.linalg.norm(earth_km)) / SPEED_OF_LIGHT_KM_S
+    heliocentric, _ = erfa.epv00(J2000_JD, (et - np.array([0.0, light_s])) / DAY_S)
+    off = np.linalg.norm(heliocentric["p"] * AU_KM - (place_km + earth_km), axis=1)
+    nearer = int(np.argmin(off))
+    return float(off[nearer]), heliocentric["v"][nearer] * AU_KM / DAY_S
+
+
+def _against_earth(
+    velocity_km_s: FloatArray,
+    place_km: FloatArray | None,
+    times: Sequence[float],
+    earth: tuple[FloatArray | None, FloatArray | None],
+) -> str:
+    """Return how a velocity with respect to the Sun and the Earth's velocity contradict each other."""
+    earth_km, earth_km_s = earth
+    if place_km is None or earth_km is None or earth_km_s is None or not times:
+        return ""
+    _, known_km_s = min((earth_is_off(place_km, earth_km, et) for et in times), key=lambda found: found[0])
+    off = float(np.linalg.norm(velocity_km_s + earth_km_s - known_km_s))
+    if off <= EARTH_KM_S:
+        return ""
+    return f"that is {off:.4g} km/s off what the Earth's with respect to the spacecraft says"

@@ -12,9 +12,9 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ from opnav_workbench.image.header import (
     header_matches,
     header_number,
     stated_unit_s,
+    unread_units,
     unread_words,
 )
 from opnav_workbench.image.planes import make_planes
@@ -145,9 +146,16 @@ def picture_from_stored(
     planes = make_planes(name, source, header, keywords, saturation_dn)
     exposure_s = _exposure(name, header, keywords)
     time = _time(name, header, keywords, exposure_s)
-    read = header_geometry(header, keywords)
-    wrong = (*_exposure_contradictions(header, keywords, exposure_s, time), *read.contradictions)
+    times = [et for et in (time.et, time.rival_et) if et is not None]
+    read = header_geometry(header, keywords, times)
     sclk = keywords.value(header, "sclk")
+    wrong = (
+        *_exposure_contradictions(header, keywords, exposure_s, time),
+        *read.contradictions,
+        *unread_units(header, keywords),
+        *_clock_contradictions(header, keywords, sclk),
+        *_repeated_words(header, keywords, source.repeated),
+    )
     return Picture(
         path=path,
         sha256=sha256,
@@ -166,6 +174,43 @@ def picture_from_stored(
         rival_et=time.rival_et,
         keywords=keywords,
     )
+
+
+def _repeated_words(
+    header: Header, keywords: KeywordMap, repeated: Mapping[str, HeaderValue]
+) -> tuple[str, ...]:
+    """Return a line for each word of the mission's that the header has twice with different values."""
+    asked = {word for field in fields(keywords) for word in _words_in(getattr(keywords, field.name))}
+    return tuple(
+        f"{word} stands twice in the header, as {header[word]!r} and {other!r}; the first is used"
+        for word, other in repeated.items()
+        if word in asked
+    )
+
+
+def _words_in(value: object) -> tuple[str, ...]:
+    """Return the keywords in a field of a keyword map, without signs and numbers of pieces."""
+    listed = value if isinstance(value, tuple) else value.keys() if isinstance(value, Mapping) else (value,)
+    return tuple(word.removeprefix("-").split("[")[0].upper() for word in listed if isinstance(word, str))
+
+
+CLOCK_READING = re.compile(r"(?:\d+/)?(?P<seconds>\d+)")
+CLOCK_S = 2.0  # a count of whole seconds, begin and end counted likewise
+
+
+def _clock_contradictions(header: Header, keywords: KeywordMap, sclk: HeaderValue | None) -> tuple[str, ...]:
+    """Return what a clock reading says against itself, or against a begin and end that are counts of the same clock."""
+    if sclk is None:
+        return ()
+    reading = CLOCK_READING.search(str(sclk))
+    if reading is None:
+        return (f"{keywords.sclk} = {sclk!r} is no reading of a clock",)
+    span = [header_number(keywords.value(header, name)) for name in ("begin", "end")]
+    known = [seconds for seconds in span if seconds is not None]
+    if len(known) < len(span) or min(known) - CLOCK_S <= float(reading["seconds"]) <= max(known) + CLOCK_S:
+        return ()
+    span_words = f"{keywords.begin} = {known[0]:.12g} to {keywords.end} = {known[1]:.12g}"
+    return (f"the clock reading {keywords.sclk} = {sclk} lies outside {span_words}",)
 
 
 def _size_words(shape: tuple[int, ...]) -> dict[str, HeaderValue]:
@@ -220,7 +265,7 @@ class _StatedTime:
 def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) -> _StatedTime:
     et, impossible = _stated_et(name, header, keywords)
     text = keywords.value(header, "utc")
-    stated = None if text is None else _et_of(name, str(text), keywords)
+    stated = None if text is None else _et_of(name, str(text), header, keywords)
     known = et if et is not None else stated
     if known is None:
         return _StatedTime(None, None, (*impossible, _without_time(name, header, keywords)), None, impossible)
@@ -231,7 +276,8 @@ def _time(name: str, header: Header, keywords: KeywordMap, exposure_s: float) ->
     shift_s = _to_middle_s(name, header, keywords, exposure_s)
     off = 0.0 if stated is None else known - stated
     agree = abs(off) <= time_tolerance_s(text, keywords.value(header, "et"))
-    keep = agree and shift_s == 0.0 and text is not None and ISO_CALENDAR.fullmatch(str(text))
+    as_stated = agree and shift_s == 0.0 and _scale_of(header, keywords.utc) == "utc"
+    keep = as_stated and text is not None and ISO_CALENDAR.fullmatch(str(text))
     utc = str(text) if keep else _utc_of(name, known + shift_s)
     if agree or stated is None:
         return _StatedTime(known + shift_s, utc, impossible, None, impossible)
@@ -254,9 +300,29 @@ def _stated_et(name: str, header: Header, keywords: KeywordMap) -> tuple[float |
     return None, (f"{keywords.et} = {et:g} is no date of a picture from space; {keywords.utc} is used",)
 
 
-def _et_of(name: str, text: str, keywords: KeywordMap) -> float:
+# What FITS calls the scales of time (`TIMESYS`, of its words that begin with DATE), as `et_from_text` calls them.
+TIME_SCALES = {
+    **dict.fromkeys(("UTC", "UT", "GMT", ""), "utc"), **dict.fromkeys(("TT", "TDT"), "tt"),
+    **dict.fromkeys(("TDB", "ET"), "tdb"), "TAI": "tai", "IAT": "tai",
+}  # fmt: skip
+
+
+def _scale_of(header: Header, keyword: str | None) -> str | None:
+    """Return the scale of a word's time: UTC, unless ``TIMESYS`` says otherwise of a FITS word; None: unknown."""
+    of_fits = str(keyword).upper().startswith("DATE")
+    stated = str(header.get("TIMESYS", "")).strip().upper() if of_fits else ""
+    return TIME_SCALES.get(stated)
+
+
+def _et_of(name: str, text: str, header: Header, keywords: KeywordMap) -> float:
+    scale = _scale_of(header, keywords.utc)
+    if scale is None:
+        raise image_error(
+            name,
+            f"TIMESYS = {header['TIMESYS']!r} is no scale of time that is known; state {keywords.utc} in UTC, TT or TDB.",
+        )
     try:
-        return et_from_text(text)
+        return et_from_text(text, scale)
     except ValueError as error:
         raise image_error(
             name, f"{keywords.utc} = {text!r} is no UTC ({error}); correct the header."
@@ -284,7 +350,7 @@ def _exposure_contradictions(
     named = (keywords.begin, keywords.end)
     for begin, end in (*([named] if all(named) else []), *STANDARD_SPANS):
         stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
-        first, last = (_seconds(value) for value in stated)
+        first, last = (_seconds(value, _scale_of(header, begin) or "utc") for value in stated)
         if first is not None and last is not None:
             tolerance_s, middle_s = time_tolerance_s(*stated), math.nan
             if time.et is not None and all(isinstance(value, str) for value in stated):
@@ -293,11 +359,11 @@ def _exposure_contradictions(
     return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
 
 
-def _seconds(value: HeaderValue | None) -> float | None:
-    """Return a time as seconds: of UTC past J2000, or of a clock's count; None where it is neither."""
+def _seconds(value: HeaderValue | None, scale: str) -> float | None:
+    """Return a time as seconds: past J2000, or of a clock's count; None where it is neither."""
     if isinstance(value, str) and ":" in value:
         with suppress(ValueError):
-            return et_from_text(value)
+            return et_from_text(value, scale)
         return None
     seconds = header_number(value)
     return seconds if seconds is not None and math.isfinite(seconds) else None

@@ -401,7 +401,8 @@ def _read_obj(text: str) -> tuple[FloatArray, IntArray]:
             elif words and words[0] == "f":
                 plates.extend(_obj_face(words[1:], len(vertices)))
         except (ValueError, IndexError) as error:
-            raise ValueError(f"line {number}, {line.strip()[:40]!r}: {error}") from error
+            why = "it has too few numbers" if isinstance(error, IndexError) else error
+            raise ValueError(f"line {number}, {line.strip()[:40]!r}: {why}") from error
     return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(plates, dtype=np.int64).reshape(
         -1, 3
     )

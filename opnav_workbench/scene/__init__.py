@@ -47,7 +47,6 @@ if TYPE_CHECKING:
         observer_from_header,
         observer_from_kernels,
         star_target_at,
-        unknown_observer,
     )
 else:  # loaded on first use: most calls need a few of these
     __getattr__ = names_on_demand(
@@ -71,7 +70,6 @@ else:  # loaded on first use: most calls need a few of these
             "observer_from_header": "states",
             "observer_from_kernels": "states",
             "star_target_at": "states",
-            "unknown_observer": "states",
         },
     )
 
@@ -98,7 +96,6 @@ __all__ = [
     "star_target_at",
     "sweep_of",
     "turned_meanwhile",
-    "unknown_observer",
     "with_aberration",
     "with_course",
 ]

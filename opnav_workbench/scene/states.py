@@ -15,7 +15,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.catalog import StarTable
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID, SUN_ID
-from opnav_workbench.errors import ImageError, KernelError
+from opnav_workbench.errors import KernelError
 from opnav_workbench.image import Picture, barycentric_from_heliocentric, unknown_velocity_sigma_km_s
 from opnav_workbench.kernels import body_attitude, body_radii_km, state
 from opnav_workbench.targets import TargetState, star_target
@@ -26,7 +26,6 @@ __all__ = [
     "observer_from_header",
     "observer_from_kernels",
     "star_target_at",
-    "unknown_observer",
 ]
 
 
@@ -71,30 +70,17 @@ def observer_from_kernels(spacecraft: int, et: float) -> Observer:
 def observer_from_header(picture: Picture, et: float) -> Observer:
     """Take the spacecraft's state from the image header (Sun vector there, Sun about the barycenter from ERFA).
 
-    Raises
-    ------
-    ImageError
-        The header has no Sun vector or velocity.
+    What the header does not say is at rest, or at the barycenter, with the sigma of a velocity that may be any.
     """
     geometry = picture.header_geometry
-    if (
-        geometry is None
-        or geometry.spacecraft_from_sun_km is None
-        or geometry.spacecraft_velocity_km_s is None
-    ):
-        raise ImageError(
-            f"{picture.name}: the header gives no spacecraft position and velocity; "
-            "give kernels that cover the spacecraft (--kernels)."
-        )
-    position, velocity = barycentric_from_heliocentric(
-        np.asarray(geometry.spacecraft_from_sun_km), np.asarray(geometry.spacecraft_velocity_km_s), et
-    )
-    return Observer(position, velocity, "header", geometry.velocity_sigma_km_s)
-
-
-def unknown_observer() -> Observer:
-    """Return a spacecraft that nobody knows anything of: at rest, with the sigma of a velocity that may be any."""
-    return Observer(np.zeros(3), np.zeros(3), "unknown", unknown_velocity_sigma_km_s())
+    if geometry is None or geometry.spacecraft_from_sun_km is None:
+        return Observer(np.zeros(3), np.zeros(3), "unknown", unknown_velocity_sigma_km_s())
+    place = np.asarray(geometry.spacecraft_from_sun_km)
+    told, sigma = geometry.spacecraft_velocity_km_s, geometry.velocity_sigma_km_s
+    if told is None:
+        told, sigma = np.zeros(3), unknown_velocity_sigma_km_s(float(np.linalg.norm(place)))
+    position, velocity = barycentric_from_heliocentric(place, np.asarray(told), et)
+    return Observer(position, velocity, "header", sigma)
 
 
 # ---- Targets as the spacecraft sees them: solar-system bodies through SPICE, stars through their astrometry.

@@ -7,10 +7,13 @@ compared can know:
 
 Clock       a reading anywhere in the exposure, one count of its last field, the clock's drift beyond the kernel's last
             record, the time's printed digits, and a second between command, shutter and telemetry: labels of twelve missions
-            (New Horizons to Voyager) stay within it, those of Galileo by 0.6 s
+            (New Horizons to Voyager) stay within it, those of Galileo by 0.6 s; a tenth of one where the mission's file says
+            that the reading is that of the middle
 Trajectory  a maneuver of 10 m/s that one of the two does not know, and a month of flight since: predicted trajectories of
             New Horizons differ by 100 to 600 km; and 120 km by which kernels and the series for the barycenter differ
-Attitude    five sigmas of two a priori attitudes, as the camera file states them
+Earth       1,000 km where the header states its place with respect to the spacecraft: half a minute of its motion
+Attitude    five sigmas of two a priori attitudes, as the camera file states them; of two statements in one header also what
+            lies between boresight and middle of the detector, and aberration
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,24 +21,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
-from opnav_workbench.constants import DAY_S
+from opnav_workbench.constants import DAY_S, SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import KernelError
-from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.geometry import (
+    angle_between,
+    camera_from_j2000,
+    pointing_angles,
+    unit_from_radec,
+    vector_from_rotation,
+    wrapped,
+)
 from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.image import KeywordMap, barycentric_from_heliocentric
-from opnav_workbench.image.contradictions import time_tolerance_s
+from opnav_workbench.image.contradictions import EARTH_KM, earth_is_off, time_tolerance_s
 from opnav_workbench.kernels import KernelSet, camera_attitude, clock_tolerance_s, et_from_sclk, knows_clock
 from opnav_workbench.scene import observer_from_kernels
 from opnav_workbench.session.context import Context
 
-__all__ = ["SettledTime", "attitude_contradiction", "settled_time"]
+__all__ = ["SettledTime", "attitude_contradiction", "header_attitude", "settled_time"]
 
 COMMAND_TO_TELEMETRY_S = 1.0
+PREDICTED_CLOCK_S = 0.1  # New Horizons' headers of 2020 and a clock kernel made later: 0.011 s
 UNKNOWN_MANEUVER_KM_S, SINCE_S = 0.010, 30.0 * DAY_S
 BARYCENTER_KM = 120.0
 TRAJECTORY_KM = UNKNOWN_MANEUVER_KM_S * SINCE_S + BARYCENTER_KM
 ATTITUDE_SIGMAS = 5.0
+ABERRATION_RAD = 60.0 / SPEED_OF_LIGHT_KM_S  # of a spacecraft at Mercury, in one of two statements
 
 
 # ---- Time: ET, UTC, clock, and where the spacecraft was then.
@@ -62,10 +75,10 @@ def settled_time(context: Context, et: float) -> SettledTime:
     """
     picture = context.picture
     keywords = picture.keywords or KeywordMap(**context.mission.keywords)  # a sidecar has words of its own
-    found = _against_kernels(context, keywords, et)
+    found = _against_facts(context, keywords, et)
     if picture.rival_et is None:
         return SettledTime(et, picture.utc or "", tuple(filter(None, found.values())))
-    rival = _against_kernels(context, keywords, picture.rival_et)
+    rival = _against_facts(context, keywords, picture.rival_et)
     agreeing, agreeing_with_rival = _agreeing(found, rival), _agreeing(rival, found)
     differ = f"{keywords.et} and {keywords.utc} differ by {et - picture.rival_et:+.3f} s"
     if len(agreeing_with_rival) > len(agreeing):
@@ -86,33 +99,48 @@ def _agreeing(found: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
     return [who for who, text in found.items() if not text and other.get(who) != ""]
 
 
-def _against_kernels(context: Context, keywords: KeywordMap, et: float) -> dict[str, str]:
-    """Return what clock and trajectory say against a time: nothing where they agree; who cannot tell has no entry."""
-    if KernelSet.active() is None:
-        return {}
-    said = {
-        "the spacecraft clock": _against_clock(context, keywords, et),
-        "the header's position": _against_trajectory(context, keywords, et),
-    }
+def _against_facts(context: Context, keywords: KeywordMap, et: float) -> dict[str, str]:
+    """Return what clock, trajectory and Earth say against a time: nothing where they agree; who cannot tell has no entry."""
+    said = {"the place of the Earth in the header": _against_earth(context, keywords, et)}
+    if KernelSet.active() is not None:
+        said["the spacecraft clock"] = _against_clock(context, keywords, et)
+        said["the header's position"] = _against_trajectory(context, keywords, et)
     return {who: text for who, text in said.items() if text is not None}
+
+
+def _against_earth(context: Context, keywords: KeywordMap, et: float) -> str | None:
+    geometry = context.picture.header_geometry
+    if (
+        geometry is None
+        or geometry.earth_km is None
+        or geometry.spacecraft_from_sun_km is None
+        or not geometry.spacecraft_from_sun_km.any()
+    ):
+        return None
+    off_km, _ = earth_is_off(np.asarray(geometry.spacecraft_from_sun_km), np.asarray(geometry.earth_km), et)
+    if off_km <= EARTH_KM:
+        return ""
+    places = ", ".join((*keywords.words("sun_position"), *keywords.words("earth_position")))
+    return f"{places} put the Earth {off_km:.6g} km from where it was: time or one of the places is wrong"
 
 
 def _against_clock(context: Context, keywords: KeywordMap, et: float) -> str | None:
     picture, clock = context.picture, context.mission.clock_id
     if picture.sclk is None or (picture.et is None and picture.utc is None) or not knows_clock(clock):
         return None
-    if not any(letter.isdigit() for letter in picture.sclk):
-        return f"{keywords.sclk} = {picture.sclk!r} is no reading of a clock"
     try:
         off = et_from_sclk(clock, picture.sclk) - et
         tolerance = clock_tolerance_s(clock, picture.sclk, et)
     except KernelError:  # written otherwise than the kernel's clock
         return None
     stated = keywords.value(picture.header, "utc") or keywords.value(picture.header, "et")
-    tolerance += time_tolerance_s(stated) + COMMAND_TO_TELEMETRY_S
-    tolerance += 0.5 * float(np.nan_to_num(picture.exposure_s))
-    rows = context.camera.rows
-    tolerance += 0.0 if rows is None else 0.5 * rows.span_s(context.camera.n_line)
+    tolerance += time_tolerance_s(stated)
+    if keywords.sclk_at == "middle":
+        tolerance += PREDICTED_CLOCK_S
+    else:
+        rows = context.camera.rows
+        span_s = 0.0 if rows is None else rows.span_s(context.camera.n_line)
+        tolerance += COMMAND_TO_TELEMETRY_S + 0.5 * (float(np.nan_to_num(picture.exposure_s)) + span_s)
     if abs(off) <= tolerance:
         return ""
     return (
@@ -145,27 +173,65 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
     fast = float(np.linalg.norm(velocity_km_s - known.velocity_km_s)) if with_velocity else 0.0
     said = []
     if far > TRAJECTORY_KM:
-        said.append(f"position ({', '.join(keywords.sun_position or ())}) by {far:.6g} km")
+        said.append(f"position ({', '.join(keywords.words('sun_position'))}) by {far:.6g} km")
     if fast > UNKNOWN_MANEUVER_KM_S:
-        said.append(f"velocity ({', '.join(keywords.sun_velocity or ())}) by {fast:.4g} km/s")
+        said.append(f"velocity ({', '.join(keywords.words('sun_velocity'))}) by {fast:.4g} km/s")
     if not said:
         return ""
     return f"off the kernels' by more than predictions are: the header's {' and '.join(said)}; the kernels' is used"
 
 
-# ---- Attitude, against the CK.
+# ---- Attitude, against what else the header says of it, and against the CK.
+
+
+def header_attitude(context: Context) -> tuple[FloatArray | None, tuple[str, ...]]:
+    """Return the attitude that a header states, and what contradicts it; None where it states none.
+
+    It is that of the quaternion, held against the boresight's right ascension and declination; or that of these and a twist.
+    """
+    geometry, camera = context.picture.header_geometry, context.camera
+    if geometry is None or geometry.boresight_deg is None:
+        return None if geometry is None else geometry.camera_from_j2000, ()
+    ra, dec, twist = np.radians(geometry.boresight_deg)
+    attitude = geometry.camera_from_j2000
+    if attitude is None:
+        whole = np.isfinite(twist)
+        return (camera_from_j2000(ra, dec, twist, camera.focal_from_camera) if whole else None), ()
+    off = float(angle_between(np.asarray(attitude).T @ camera.boresight, unit_from_radec(ra, dec)))
+    turned = float(wrapped(pointing_angles(attitude, camera.focal_from_camera)[2] - twist))
+    can_turn = ATTITUDE_SIGMAS * np.sqrt(2.0) * np.radians(camera.attitude_sigma.twist_deg)
+    if off <= _can_be_off_rad(camera) and not abs(turned) > can_turn:
+        return attitude, ()
+    keywords = context.picture.keywords or KeywordMap(**context.mission.keywords)
+    by = ", ".join(keywords.words("quaternion"))
+    stated = ", ".join((*keywords.words("boresight"), *keywords.words("twist")))
+    how = (
+        f"{np.degrees(off):.4g} deg apart"
+        if off > _can_be_off_rad(camera)
+        else f"turned by {np.degrees(turned):.4g} deg"
+    )
+    return attitude, (f"the attitude of {by} and that of {stated} are {how}; the first is used",)
+
+
+def _can_be_off_rad(camera: Camera) -> float:
+    """Return how far the boresight and what a header calls so may lie apart."""
+    middle = camera.unproject(0.5 * np.array([camera.n_pixel - 1.0, camera.n_line - 1.0]))
+    from_middle = float(np.nan_to_num(angle_between(middle, camera.boresight)))
+    known_px = ATTITUDE_SIGMAS * np.sqrt(2.0) * camera.attitude_sigma.cross_px
+    return from_middle + float(known_px) * camera.pixel_scale_rad + ABERRATION_RAD
 
 
 def attitude_contradiction(context: Context, et: float) -> tuple[str, ...]:
-    """Return what the header's attitude says against that of a CK; nothing where they agree, or one is silent."""
-    geometry, kernels, camera = context.picture.header_geometry, KernelSet.active(), context.camera
-    if geometry is None or geometry.camera_from_j2000 is None or kernels is None:
-        return ()
+    """Return what the header's attitude says against itself or that of a CK; nothing where they agree, or one is silent."""
+    attitude, said = header_attitude(context)
+    kernels, camera = KernelSet.active(), context.camera
+    if attitude is None or kernels is None:
+        return said
     try:
         by_kernels = camera_attitude(camera.frame, et)
     except KernelError:
         return ()
-    turn = vector_from_rotation(geometry.camera_from_j2000 @ by_kernels.T)
+    turn = vector_from_rotation(attitude @ by_kernels.T)
     sigmas = _sigmas_of_difference(camera, turn)
     if sigmas <= ATTITUDE_SIGMAS:
         return ()

@@ -38,11 +38,10 @@ from opnav_workbench.scene import (
     observer_from_kernels,
     star_target_at,
     sweep_of,
-    unknown_observer,
     with_course,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
-from opnav_workbench.session.contradictions import attitude_contradiction, settled_time
+from opnav_workbench.session.contradictions import attitude_contradiction, header_attitude, settled_time
 from opnav_workbench.targets import TargetState
 
 if TYPE_CHECKING:
@@ -239,7 +238,7 @@ def collect_inputs(
         attitude, origin = _attitude(context, source.attitude, et)
     else:
         attitude, origin = lost.camera_from_j2000, "none"
-    observer = _observer(context, et, needless=source.by_hand or source.attitude == "unknown")
+    observer = _observer(context, et)
     sweep, unswept = _sweep(context, et, observer)
     inputs = Inputs(
         et=et,
@@ -382,17 +381,13 @@ def _to_middle_line_s(context: Context) -> float:
     return 0.5 * rows.span_s(context.camera.n_line)
 
 
-def _observer(context: Context, et: float, *, needless: bool) -> Observer:
+def _observer(context: Context, et: float) -> Observer:
+    """Return the spacecraft by the kernels, else by the header; aberration that neither tells stands in the covariance."""
     kernels = KernelSet.active()
     spacecraft = context.mission.spacecraft_id
     if kernels is not None and any(c.body == spacecraft for c in kernels.coverage("SPK")):
         return observer_from_kernels(spacecraft, et)
-    try:
-        return observer_from_header(context.picture, et)
-    except ImageError:
-        if needless:
-            return unknown_observer()
-        raise
+    return observer_from_header(context.picture, et)
 
 
 def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, AttitudeOrigin]:
@@ -408,13 +403,13 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
             return camera_attitude(frame_name, et), "kernels"
         except KernelError as error:
             raise error if wanted == "kernels" else NoAttitudeKernelError(str(error)) from error
-    geometry = context.picture.header_geometry
-    if geometry is None or geometry.camera_from_j2000 is None:
+    attitude, said = header_attitude(context)
+    if attitude is None:
         raise NoAttitudeError(
-            f"{context.picture.name}: the header gives no attitude{_because(context.picture.contradictions)}; "
+            f"{context.picture.name}: the header gives no attitude{_because((*context.picture.contradictions, *said))}; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
-    return np.asarray(geometry.camera_from_j2000), "header"
+    return attitude, "header"
 
 
 def _sweep(context: Context, et: float, observer: Observer) -> tuple[RowSweep | None, tuple[str, ...]]:

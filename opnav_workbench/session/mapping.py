@@ -33,7 +33,8 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
     Raises
     ------
     SessionError
-        The picture has no solved pointing.
+        The picture has no solved pointing, or is a raw vidicon one: it bends by its own marks, more than polynomials of a
+        Community Sensor Model can (4.4 px of c4400436).
     KernelError
         No kernels are open, or they do not know the target's place, size or rotation.
     CameraError
@@ -72,5 +73,10 @@ def support_data_of_result(result: Mapping[str, Any], mission: Mission, target: 
 def _camera(result: Mapping[str, Any], mission: Mission) -> Camera:
     """Return the camera that the picture was solved with: its window and binning, and its settled focal length."""
     camera = mission.camera_as_read(str(result["camera"]), result.get("readout"))
+    if camera.reseau is not None:
+        raise SessionError(
+            f"{result.get('image', 'the picture')}: raw pictures of {camera.name} bend as their reseau marks tell, which no "
+            "Community Sensor Model holds; process the picture that is corrected by them."
+        )
     settings = (result.get("provenance") or {}).get("settings") or {}
     return with_focal_scale(camera, float(settings.get("focal_scale", 1.0)))

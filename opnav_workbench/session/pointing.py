@@ -313,7 +313,7 @@ def _widened(context: Context, inputs: Inputs, solution: PointingSolution) -> Po
     covariance = solution.covariance_rad2 + sigma**2 * across
     said = (
         f"the spacecraft's velocity is not known: no aberration is removed, and {sigma * ARCSEC_PER_RAD:.1f} arcsec of it "
-        "are in the pointing's covariance"
+        "are in the pointing's covariance; kernels tell it (--kernels)"
     )
     return replace(solution, covariance_rad2=covariance, messages=(*solution.messages, said))
 

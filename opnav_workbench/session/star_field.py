@@ -125,6 +125,9 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         )
         if mirrored:
             return _unidentified(state, mirrored, remedy=CAMERA_FILE)
+        other = _of_other_brightness(context, inputs, state, detections, state.a_priori)
+        if other:
+            return _unidentified(state, other, remedy=OF_BRIGHTNESS)
         remedy = f"{deeper_words(context, inputs)}, {WIDER}"
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs), remedy)
     found = found_field(inputs, near, "a priori")
@@ -184,6 +187,10 @@ def _from_sky_search(
         settings.max_shift_px, settings.max_twist_deg, lost.camera_from_j2000,
     )  # fmt: skip
     if not answer.sure or answer.rotation is None:
+        around = _all_directions(context, inputs, catalog)
+        other = _of_other_brightness(context, inputs, state, detections, around, lost.camera_from_j2000)
+        if other:
+            return _unidentified(state, other, remedy=OF_BRIGHTNESS)
         return _unidentified(state, _why_unsure(answer), f"; the whole sky: {lost.message}")
     attitude = answer.rotation @ lost.camera_from_j2000
     found = field_at(context, inputs, attitude, LOST, answer.confidence, sure=True)
@@ -269,8 +276,10 @@ def _matched_pattern(
     shift_px: float,
     twist_deg: float,
     attitude: FloatArray | None = None,
+    *,
+    by_brightness: bool = True,
 ) -> Identification:
-    """Match the pattern around `attitude`, by default the a priori one."""
+    """Match the pattern around `attitude`, by default the a priori one; by places alone where brightness is not asked."""
     directions, mags = _pattern(context.camera, inputs, state, stars)
     around = inputs.a_priori_camera_from_j2000 if attitude is None else attitude
     return identify_sky(
@@ -280,7 +289,33 @@ def _matched_pattern(
         context.camera,
         max_shift_px=shift_px,
         max_twist_rad=float(np.radians(twist_deg)),
-        zero_point_mag=zero_point_mag(context),
+        zero_point_mag=zero_point_mag(context) if by_brightness else None,
+    )
+
+
+def _of_other_brightness(
+    context: Context,
+    inputs: Inputs,
+    state: SessionState,
+    detections: Detections,
+    stars: StarPrediction | _Directions,
+    attitude: FloatArray | None = None,
+) -> str:
+    """Tell whether the stars stand where they should, only brighter or fainter than can be; empty if not."""
+    expected, settings = zero_point_mag(context), context.settings
+    if expected is None:
+        return ""
+    answer = _matched_pattern(
+        context, inputs, state, detections, stars, settings.max_shift_px, settings.max_twist_deg, attitude,
+        by_brightness=False,
+    )  # fmt: skip
+    if not answer.sure or answer.zero_point_mag is None or not np.isfinite(answer.zero_point_mag):
+        return ""
+    off = answer.zero_point_mag - expected
+    how = f"{abs(off):.1f} mag {'brighter' if off > 0.0 else 'fainter'}"
+    return (
+        f"the stars stand in their places ({answer.message}), but are {how} than an exposure of "
+        f"{context.picture.exposure_s:g} s makes them"
     )
 
 
@@ -362,6 +397,7 @@ def deeper_words(context: Context, inputs: Inputs) -> str:
     return f"take a deeper catalog ({more}; --catalog)" if more else "take a deeper catalog (--catalog)"
 
 
+OF_BRIGHTNESS = "correct the exposure (its unit?) in header or mission file, or the camera file's zero point"
 WIDER = "search the whole sky (--attitude none), widen the search (max_shift_px), or mark two stars (two_star_pointing)"
 
 

@@ -376,7 +376,10 @@ def _keyword_cards(record: FlightRecord) -> Iterator[Card]:
         (names.sun_velocity, None if sun is None else sun.velocity_km_s),
     ):
         if keywords is not None and vector is not None:
-            yield from (Card(k, v) for k, v in zip(keywords, vector.tolist(), strict=True))
+            for keyword, value in zip(
+                keywords, vector.tolist(), strict=True
+            ):  # a minus: the word has the opposite
+                yield Card(keyword.removeprefix("-"), -value if keyword.startswith("-") else value)
 
 
 # ---- World coordinates of a picture for its FITS header.

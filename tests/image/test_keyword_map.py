@@ -47,6 +47,18 @@ def test_other_values_are_kept(value):
     assert KeywordMap(target="T").value(Header({"T": value}), "target") == value
 
 
+def test_signs_pieces_and_units_of_vectors():
+    keywords = KeywordMap(sun_position=["-V[1]", "V[2]", "V[3]"], twist="-T", boresight=["R", "D"])
+    header = Header(
+        {"V": "1000, 2000.5, N/A", "V <UNIT>": "M", "T": 0.5, "T <UNIT>": "rad", "R": "x", "D": 3}
+    )
+    assert keywords.numbers(header, "sun_position") == [-1.0, 2.0005, None]
+    assert keywords.numbers(header, "twist") == [pytest.approx(-28.6479, abs=1e-4)]
+    assert keywords.numbers(header, "boresight") == [None, 3.0]
+    assert keywords.numbers(Header({"V": "1000"}), "sun_position") == [-1000.0, None, None]
+    assert keywords.words("sun_position") == ("V[1]", "V[2]", "V[3]")
+
+
 def test_absent_keyword_and_unnamed_field():
     assert KeywordMap(target="T").value(Header({}), "target") is None
     assert KeywordMap().value(Header({"T": 1}), "target") is None

@@ -41,7 +41,9 @@ def assert_as_astropy(data: bytes) -> None:
         for ours, theirs in zip(found, hdus, strict=True):
             assert (ours.name, ours.is_image) == (theirs.name, theirs.is_image)
             messages: list[str] = []
-            header = _header_of(theirs, messages)
+            repeated = {}
+            header = _header_of(theirs, messages, repeated)
+            assert repeated == ours.repeated
             assert not messages
             assert list(map(repr, ours.header.items())) == list(map(repr, header.items()))
             if theirs.is_image:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from opnav_workbench.errors import ImageError
+from opnav_workbench.geometry.times import et_from_text
 from opnav_workbench.image import KeywordMap, read_image
 
 SHAPE = (12, 20)
@@ -424,3 +425,33 @@ def test_damaged_bytes_give_a_frame_or_one_line(tmp_path, changes, end):
     else:
         assert outcome.image_dn.shape == outcome.bad.shape
         assert np.all(np.isfinite(outcome.image_dn))
+
+
+@pytest.mark.parametrize(
+    ("scale", "early_s"), [("UTC", 0.0), ("TDB", 69.184), ("tt", 69.184), ("TAI", 37.0), ("TOPOCENT", None)]
+)
+def test_the_scale_of_fits_times(tmp_path, scale, early_s):
+    """FITS 4.0, section 9.2: TIMESYS tells in which scale the words that begin with DATE are."""
+    head = fits.Header({"EXPTIME": 2.0, "DATE-AVG": "2020-04-22T10:06:52.348", "TIMESYS": scale})
+    path, keywords = write(tmp_path / "a.fit", head=head), KeywordMap(exposure_s="EXPTIME", utc="DATE-AVG")
+    if early_s is None:
+        with pytest.raises(ImageError, match="TIMESYS = 'TOPOCENT' is no scale of time"):
+            read_image(path, keywords)
+        return
+    read = read_image(path, keywords)
+    assert read.et == pytest.approx(et_from_text("2020-04-22T10:06:52.348") - early_s, abs=0.003)
+    assert et_from_text(read.utc) == pytest.approx(read.et, abs=0.001)
+
+
+@pytest.mark.parametrize("behind", [b"", b"more"], ids=["plain", "by astropy"])
+def test_words_that_stand_twice(tmp_path, behind):
+    """Of the same value they are as one; of two values, where the mission asks for the word, they contradict."""
+    head = fits.Header({"EXPTIME": 2.0, "MORE": 1, "TWICE": 3.0})
+    for keyword, value in (("EXPTIME", 5.0), ("MORE", 2), ("TWICE", 3.0)):
+        head.append((keyword, value), end=True)
+    path = write(tmp_path / "a.fit", head=head)
+    path.write_bytes(path.read_bytes() + behind)
+    read = read_image(path, KeywordMap(exposure_s="EXPTIME", quaternion=["TWICE", "A", "B", "C"]))
+    assert read.exposure_s == 2.0
+    said = "EXPTIME stands twice in the header, as 2.0 and 5.0; the first is used"
+    assert read.contradictions == (said,)

@@ -4,13 +4,15 @@ import json
 import re
 import shutil
 
+import erfa
 import numpy as np
 import pytest
 from astropy.io import fits
 from PIL import Image
 
+from opnav_workbench.constants import AU_KM, DAY_S, J2000_JD
 from opnav_workbench.errors import OpNavError
-from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.geometry import pointing_angles, vector_from_rotation
 from opnav_workbench.image import KeywordMap, read_image
 from opnav_workbench.image.contradictions import believed_state, printed_unit_s
 from opnav_workbench.kernels import KernelSet
@@ -21,9 +23,9 @@ from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.session import ImageSession, Settings, write_reconstructed_ck
 from opnav_workbench.session.context import open_context
-from opnav_workbench.session.inputs import with_target
+from opnav_workbench.session.contradictions import header_attitude, settled_time
+from opnav_workbench.session.inputs import mid_exposure_et, with_target
 
-DAY_S = 86400.0
 KEYWORDS = KeywordMap(**load_mission("new_horizons").keywords)
 VELOCITY = ("SPCSSCVX", "SPCSSCVY", "SPCSSCVZ")
 PLACE = ("SPCSSCX", "SPCSSCY", "SPCSSCZ")
@@ -61,6 +63,10 @@ def test_a_good_header_contradicts_nothing(truth, kernels):
         (dict.fromkeys(PLACE, lambda x: 1e3 * x), "where no spacecraft is"),
         (dict.fromkeys(PLACE, lambda x: x / 1.496e8), "where no spacecraft is"),
         ({"EXPTIME": lambda t: 1e6 * t}, "longer than a day"),
+        (dict.fromkeys(VELOCITY, lambda v: 2.0 * v), "faster than any spacecraft there (above 19 km/s)"),
+        (dict.fromkeys(VELOCITY, lambda v: -v), "goes backward around the Sun (178 deg"),
+        (dict.fromkeys(PLACE, lambda x: -x), "goes backward around the Sun (178 deg"),
+        ({"SPCSCLK": lambda _: "abc"}, "SPCSCLK = 'abc' is no reading of a clock"),
     ],
 )
 def test_a_header_against_itself(told, changes, said):
@@ -168,6 +174,18 @@ def test_what_spacecraft_do_is_believed(distance_km, speed_km_s):
     np.testing.assert_array_equal(state.velocity_km_s, speed_km_s * across)
 
 
+def test_near_a_giant_planet_all_ways_are_free():
+    """A spacecraft low over Jupiter goes around the Sun as it likes, and fast."""
+    et = 5.0e8
+    jupiter = erfa.plan94(J2000_JD, et / DAY_S, 5)
+    place = jupiter["p"] * AU_KM + [1.5e5, 0.0, 0.0]
+    velocity = jupiter["v"] * AU_KM / DAY_S
+    backward = velocity - 34.0 * velocity / np.linalg.norm(velocity)
+    assert believed_state(place, backward, ("X", "V"), [et]).contradictions == ()
+    (line,) = believed_state(1.5 * place, backward, ("X", "V"), [et]).contradictions
+    assert "backward" in line
+
+
 @pytest.mark.parametrize(
     ("value", "unit"),
     [("2015-170T16:15:46.345", 1e-3), ("2015-06-03T04:02", 60.0), (640822081.5339231, 1e-7), (5.0, 1.0)],
@@ -186,6 +204,107 @@ def test_flight_frames(data_dir, tmp_path):
     fits.setval(path, "EXPTIME", value=500.6)
     (line,) = read_image(path, KEYWORDS).contradictions
     assert line == "EXPTIME is an exposure of 500.6 s, but the header's begin and end lie 0.5006 s apart"
+
+
+EARTHLY = [f"SPCESC{axis}" for axis in "XYZ"]
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, []),
+        ({"SPCSCET": lambda et: et + 30.0 * DAY_S}, ["SPCUTCAL is used, with which the place of the Earth"]),
+        ({"SPCSCET": lambda et: et - 69.184}, ["SPCUTCAL is used, with which the place of the Earth"]),
+        ({"SPCSCLK": lambda _: "3/0001000000:00000"}, ["SPCSCLK = 3/0001000000:00000 lies outside STARTMET"]),
+        (dict.fromkeys(VELOCITY, lambda v: 0.5 * v), ["6.984 km/s off what the Earth's with respect to"]),
+        (dict.fromkeys((*PLACE, *VELOCITY), lambda v: -v), ["27.94 km/s off", "put the Earth 1.40982e+10 km from"]),
+        (dict.fromkeys(EARTHLY, lambda x: 1.001 * x), ["put the Earth 7.00976e+06 km from where it was"]),
+        ({"SPCQX": lambda q: -q}, ["SPCBRRA, SPCBRDEC are 48.65 deg apart; the first is used"]),
+        ({"SPCBRDEC": lambda dec: dec + 0.5}, ["SPCBRRA, SPCBRDEC are 0.5 deg apart; the first is used"]),
+    ],
+)  # fmt: skip
+def test_a_flight_header_against_itself(data_dir, tmp_path, changes, said):
+    """Without kernels: Earth and Sun, time, clock, and two statements of where the camera looks."""
+    frame = data_dir / "images" / "lorri_interstellar" / "lor_0449855930_0x633_pwcs2.fits"
+    path = shutil.copyfile(frame, tmp_path / "a.fits")
+    with fits.open(path, mode="update", output_verify="silentfix") as hdus:
+        for keyword, change in changes.items():
+            hdus[0].header[keyword] = change(hdus[0].header[keyword])
+    context = open_context(path, load_mission("new_horizons"), Settings())
+    time = settled_time(context, mid_exposure_et(context))
+    found = " | ".join((*context.picture.contradictions, *time.contradictions, *header_attitude(context)[1]))
+    assert all(words in found for words in said)
+    assert bool(found) == bool(said)
+
+
+def test_stars_of_another_brightness_name_the_exposure(told):
+    """A thousand times the exposure: the stars stand in their places, and are too faint for it."""
+    session = ImageSession.open(told(EXPTIME=lambda t: 1e3 * t), "new_horizons", catalog=DEMO_CATALOG)
+    session.predict()
+    session.find_stars()
+    (said,) = session.state.messages
+    assert "but are 7.5 mag fainter than an exposure of 1000 s makes them" in said
+    assert "correct the exposure (its unit?)" in said
+
+
+LABEL = """PDS_VERSION_ID = PDS3
+RECORD_TYPE = FIXED_LENGTH
+RECORD_BYTES = 1024
+^IMAGE = 3
+INSTRUMENT_HOST_NAME = "DAWN"
+INSTRUMENT_ID = "FC2"
+START_TIME = 2015-170T16:15:46.345
+STOP_TIME = 2015-170T16:15:48.337
+EXPOSURE_DURATION = 1800.000 <millisecond>
+RIGHT_ASCENSION = {ra} <degree>
+DECLINATION = 64.400 <degree>
+TWIST_ANGLE = {twist} <degree>
+{quaternion}
+OBJECT = IMAGE
+LINES = 1024
+LINE_SAMPLES = 1024
+SAMPLE_TYPE = UNSIGNED_INTEGER
+SAMPLE_BITS = 8
+END_OBJECT = IMAGE
+END
+"""
+QUATERNION = "QUATERNION = (\n 0.5213655224\n , -0.1747575947\n , 0.1361764644\n , -0.8240714445)"
+
+
+@pytest.mark.parametrize(
+    ("told", "angles", "said"),
+    [
+        ({"quaternion": QUATERNION}, [289.7529, 64.3999, 264.3935], ""),
+        ({"quaternion": ""}, [289.753, 64.4, 264.394], ""),
+        (
+            {"quaternion": QUATERNION, "twist": "55.606"},
+            [289.7529, 64.3999, 264.3935],
+            "TWIST_ANGLE are turned by -40 deg",
+        ),
+        (
+            {"quaternion": QUATERNION, "ra": "280.753"},
+            [289.7529, 64.3999, 264.3935],
+            "DECLINATION, TWIST_ANGLE are 3.885 deg apart",
+        ),
+        ({"quaternion": "", "twist": '"N/A"'}, None, ""),
+    ],
+)
+def test_a_label_s_quaternion_and_angles(tmp_path, told, angles, said):
+    """FC21A0038582 of the archive: both tell the attitude of its CK to 0.002 deg."""
+    text = LABEL.format(**({"ra": "289.753", "twist": "95.606"} | told)).encode()
+    sky = np.random.default_rng(4).integers(10, 20, (1024, 1024), dtype=np.uint8)
+    (tmp_path / "fc2.img").write_bytes(text.ljust(2048) + sky.tobytes())
+    context = open_context(tmp_path / "fc2.img", load_mission("dawn"), Settings())
+    attitude, contradictory = header_attitude(context)
+    assert said in " ".join(contradictory)
+    assert bool(said) == bool(contradictory)
+    assert context.picture.contradictions == ()
+    if angles is None:
+        assert attitude is None
+    else:
+        found = np.degrees(pointing_angles(attitude, context.camera.focal_from_camera))
+        np.testing.assert_allclose(found, angles, atol=1e-4)
 
 
 def test_a_sidecar_s_own_words_are_held_against_the_clock(truth, kernels, tmp_path):
@@ -224,3 +343,13 @@ def test_a_given_shape_asks_no_kernel_for_another(truth, kernels, tmp_path, monk
     )
     with_it = with_target(session.context, session.source, session.inputs, "PLUTO")
     assert with_it.shapes["PLUTO"] == shape
+
+
+@pytest.mark.parametrize(("unit", "said"), [("<ticks>", "EXPOSURE_DURATION is in <ticks>"), ("<MSEC>", "")])
+def test_a_unit_that_nobody_knows(tmp_path, unit, said):
+    label = LABEL.format(ra=10.0, twist=1.0, quaternion="").replace("<millisecond>", unit).encode()
+    (tmp_path / "fc2.img").write_bytes(label.ljust(2048) + bytes(range(256)) * 4096)
+    picture = read_image(tmp_path / "fc2.img", KeywordMap(**load_mission("dawn").keywords))
+    assert picture.exposure_s == 1.8
+    assert " ".join(picture.contradictions).startswith(said)
+    assert bool(picture.contradictions) == bool(said)

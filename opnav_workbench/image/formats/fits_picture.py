@@ -98,9 +98,10 @@ def _fits_planes(name: str, hdus: Any, keywords: KeywordMap) -> StoredPicture:
     }
     picture = _picture_extension(name, hdus, keywords.image_extension, set(beside.values()))
     messages: list[str] = []
-    header = _header_of(hdus[0], messages)
+    repeated: dict[str, HeaderValue] = {}
+    header = _header_of(hdus[0], messages, repeated)
     if picture:
-        header |= _header_of(hdus[picture], messages)
+        header |= _header_of(hdus[picture], messages, repeated)
     planes: dict[str, Any] = {}
     for what, index in beside.items():
         wanted = getattr(keywords, f"{what}_extension")
@@ -109,7 +110,7 @@ def _fits_planes(name: str, hdus: Any, keywords: KeywordMap) -> StoredPicture:
             messages.append(
                 f"no {what} plane: FITS extension {wanted!r} is not an image of {_extension_names(hdus)}"
             )
-    return StoredPicture(hdus[picture].data, header, **planes, messages=tuple(messages))
+    return StoredPicture(hdus[picture].data, header, **planes, messages=tuple(messages), repeated=repeated)
 
 
 def _picture_extension(name: str, hdus: Any, wanted: Extension | None, others: Collection[int | None]) -> int:
@@ -143,9 +144,13 @@ def _extension_names(hdus: Any) -> str:
     return ", ".join(f"{index} {hdu.name!r}" for index, hdu in enumerate(hdus))
 
 
-def _header_of(hdu: Any, messages: list[str]) -> dict[str, HeaderValue]:
-    """Return a FITS header as plain values, without comments and undefined cards; of equals the first."""
+def _header_of(hdu: Any, messages: list[str], repeated: dict[str, HeaderValue]) -> dict[str, HeaderValue]:
+    """Return a FITS header as plain values, without comments and undefined cards; of equals the first.
+
+    What one that stands there again says otherwise goes to `repeated`.
+    """
     if isinstance(hdu, PlainHdu):
+        repeated.update(hdu.repeated)
         return dict(hdu.header)
     values: dict[str, HeaderValue] = {}
     for card in hdu.header.cards:
@@ -156,6 +161,6 @@ def _header_of(hdu: Any, messages: list[str]) -> dict[str, HeaderValue]:
         except fits.VerifyError:
             messages.append(f"header card {card.keyword} breaks the FITS standard and is left out")
             continue
-        if value is not None:
-            values.setdefault(card.keyword, value)
+        if value is not None and values.setdefault(card.keyword, value) != value:
+            repeated[card.keyword] = value
     return values

@@ -9,8 +9,8 @@ Source: FITS Standard 4.0, sections 3.3, 4.1, 4.2, 4.4 and 7.1; numbers as of `a
 """
 
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,8 @@ class PlainHdu:
         Lines first; empty where there are no data.
     stored
         Its bytes.
+    repeated
+        What keywords say that stand there again, with another value.
     """
 
     name: str
@@ -62,6 +64,7 @@ class PlainHdu:
     header: dict[str, HeaderValue]
     shape: tuple[int, ...]
     stored: bytes
+    repeated: Mapping[str, HeaderValue] = field(default_factory=dict)
 
     @property
     def data(self) -> NDArray[Any] | None:
@@ -121,8 +124,9 @@ def _hdus(data: bytes) -> Iterator[PlainHdu]:
         size = header.data_bytes()
         end = header.data_start + size
         _require(len(text) == header.data_start - header.start and end <= len(data))
-        values = _values(text)
-        yield _hdu(index, values, header, data[header.data_start : end])
+        repeated: dict[str, HeaderValue] = {}
+        values = _values(text, repeated)
+        yield replace(_hdu(index, values, header, data[header.data_start : end]), repeated=repeated)
         end = header.behind
     _require(len(data) == end > 0)  # else something follows that is no header, or the last block is short
 
@@ -143,8 +147,8 @@ def _hdu(index: int, values: dict[str, HeaderValue], header: FitsHeader, stored:
     return PlainHdu(str(name), is_image, values, shape, stored)
 
 
-def _values(text: str) -> dict[str, HeaderValue]:
-    """Return the values of a header by keyword; of equal keywords the first."""
+def _values(text: str, repeated: dict[str, HeaderValue]) -> dict[str, HeaderValue]:
+    """Return the values of a header by keyword; of equal keywords the first, what another one says goes to `repeated`."""
     values: dict[str, HeaderValue] = {}
     for card, *more in _cards(text):
         if card[:VALUE_COLUMN].rstrip() in COMMENTARY:
@@ -154,8 +158,8 @@ def _values(text: str) -> dict[str, HeaderValue]:
         _require(match is not None and card[VALUE_COLUMN : VALUE_COLUMN + 2] == "= ")
         assert match is not None
         value = _joined([_value(match), *map(_continuation, more)]) if more else _value(match)
-        if value is not None:
-            values.setdefault(match["keyword"], value)
+        if value is not None and values.setdefault(match["keyword"], value) != value:
+            repeated[match["keyword"]] = value
     return values
 
 

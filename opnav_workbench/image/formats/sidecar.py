@@ -327,7 +327,9 @@ def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str
         if len(names) != len(values):
             names = tuple(f"SIDECAR.{word}.{number}" for number in range(len(values)))
             own[field] = names if len(names) > 1 else names[0]
-        header |= dict(zip(names, values, strict=True))
+        for named_so, value in zip(names, values, strict=True):
+            bare = named_so.removeprefix("-")  # with a minus the word has the opposite
+            header[bare] = value if isinstance(value, str) or bare == named_so else -value
     return header, replace(keywords, **own)  # type: ignore[arg-type]  # a field of each name
 
 

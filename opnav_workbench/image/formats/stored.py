@@ -5,8 +5,8 @@ bytes that there are are checked before any array is made.
 """
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -50,6 +50,8 @@ class StoredPicture:
         Names of the channels; empty: they are called 1, 2, 3.
     keywords
         Which keywords hold what, where it is not as the mission says: a sidecar may tell more than its missions' headers.
+    repeated
+        Words that the header has twice, with what it says the other time.
     """
 
     image: NDArray[Any]
@@ -60,6 +62,7 @@ class StoredPicture:
     saturated: BoolArray | None = None
     channels: tuple[str, ...] = ()
     keywords: KeywordMap | None = None
+    repeated: Mapping[str, HeaderValue] = field(default_factory=dict)
 
 
 def header_value(value: Any) -> HeaderValue | None:
