@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import IO, Any
 
-__all__ = ["TrialError", "tried"]
+__all__ = ["TrialError", "cause_of_end", "tried"]
 
 SECONDS = 30.0  # of one question; the largest shapes and pictures take a few
 MEMORY_BYTES = 4 << 30  # of address space beyond what the process starts with
@@ -65,7 +65,7 @@ class _Child:
             code = process.wait()
         if hung:
             return f"it takes more than {seconds:g} s"
-        return f"it ends the process that reads it ({_cause(code)})"
+        return f"it ends the process that reads it ({cause_of_end(code)})"
 
     def close(self) -> None:
         """End the process."""
@@ -125,7 +125,8 @@ def _line_within(stream: IO[bytes], seconds: float) -> bytes | None:
         return stream.readline() if selector.select(seconds) else None
 
 
-def _cause(code: int) -> str:
+def cause_of_end(code: int) -> str:
+    """Return why a process ended: the name of a signal, or its status."""
     with contextlib.suppress(ValueError):
         return signal.Signals(-code).name if code < 0 else f"status {code}"
     return f"status {code}"

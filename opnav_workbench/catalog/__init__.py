@@ -64,7 +64,13 @@ if TYPE_CHECKING:
     from opnav_workbench.catalog.interface import Catalog
     from opnav_workbench.catalog.proper_motion import UNKNOWN_MOTION_MAS_YR, unknown_motion_mixture
     from opnav_workbench.catalog.quality import StarQuality
-    from opnav_workbench.catalog.specs import CatalogStatus, catalog_contents, catalog_status, open_catalog
+    from opnav_workbench.catalog.specs import (
+        CatalogStatus,
+        catalog_contents,
+        catalog_files,
+        catalog_status,
+        open_catalog,
+    )
     from opnav_workbench.catalog.star_table import StarTable
     from opnav_workbench.catalog.user_files import read_star_list
     from opnav_workbench.catalog.vizier import VizierCatalog, open_vizier
@@ -80,6 +86,7 @@ else:  # loaded on first use: most calls need a few of these
             "StarQuality": "quality",
             "CatalogStatus": "specs",
             "catalog_contents": "specs",
+            "catalog_files": "specs",
             "catalog_status": "specs",
             "open_catalog": "specs",
             "StarTable": "star_table",
@@ -98,6 +105,7 @@ __all__ = [
     "StarTable",
     "VizierCatalog",
     "catalog_contents",
+    "catalog_files",
     "catalog_status",
     "deeper_catalogs",
     "fetch_whole_sky",

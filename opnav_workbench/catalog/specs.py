@@ -43,7 +43,7 @@ else:  # one of them is opened, as a rule
     vizier = module_on_demand("opnav_workbench.catalog.vizier")
     vizier_tables = module_on_demand("opnav_workbench.catalog.vizier_tables")
 
-__all__ = ["CatalogStatus", "catalog_contents", "catalog_status", "open_catalog"]
+__all__ = ["CatalogStatus", "catalog_contents", "catalog_files", "catalog_status", "open_catalog"]
 
 
 # ---- Catalog specs: one line of text that says which star catalog to use.
@@ -177,7 +177,7 @@ def _contents(spec: str) -> list[tuple[str, str]]:
         return [(spec, fetched_state(argument))]
     if kind == "vizier":
         return [(spec, "")]  # cones are kept as they came, and a table there does not change
-    files = _source_files(argument.partition("?")[0])
+    files = _source_files(argument)
     try:
         whole = sum(file.stat().st_size for file in files) <= MOST_BYTES
         return [(f"{kind}: {file.name}", sha256_of(file) if whole else _state_of(file)) for file in files]
@@ -185,8 +185,19 @@ def _contents(spec: str) -> list[tuple[str, str]]:
         raise CatalogError(f"catalog {spec}: cannot read {error.filename}: {error.strerror}.") from error
 
 
+def catalog_files(spec: str) -> tuple[Path, ...]:
+    """Return the files that a catalog is read from, but for those that this program keeps itself."""
+    parts = (part.strip().partition(":") for part in split_specs(spec, tuple(SPEC_KINDS)))
+    return tuple(
+        file
+        for kind, _, argument in parts
+        if kind not in ("bundled", "fetched", "vizier")
+        for file in _source_files(argument)
+    )
+
+
 def _source_files(argument: str) -> list[Path]:
-    path = Path(argument).expanduser()
+    path = Path(argument.partition("?")[0]).expanduser()
     if is_folder(path):
         return sorted(file for file in path.rglob("*") if file.is_file())
     return [path] if is_file(path) else sorted(Path(name) for name in glob.glob(str(path)))  # noqa: PTH207

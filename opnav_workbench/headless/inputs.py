@@ -2,17 +2,20 @@
 
 Kernels count for a picture by what they hold of its time (`opnav_workbench.kernels.kernel_parts`), so that a new one
 reprocesses the pictures that it touches and no others.  The same values say in words what has changed.
+
+A file that is written to while a night runs may have been read before, after or between: what came of it then is known to
+be of no content, whatever the file holds in the end.
 """
 
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from opnav_workbench.catalog import catalog_contents
+from opnav_workbench.catalog import catalog_contents, catalog_files
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import json_text, plain_values, sha256_of
 from opnav_workbench.headless.night_spec import NightSpec
@@ -25,6 +28,7 @@ from opnav_workbench.yaml_nodes import YamlError, compose, plain_value, yaml_tex
 __all__ = [
     "NightInputs",
     "changes",
+    "file_stamp",
     "fingerprint",
     "named_file",
     "night_inputs",
@@ -48,10 +52,13 @@ class NightInputs:
         For all of them: what, and its value or digest.
     kernels
         In loading order.
+    stamps
+        Of all files that were read for these.
     """
 
     common: Mapping[str, str]
     kernels: tuple[KernelPart, ...] = ()
+    stamps: Mapping[Path, tuple[int, ...]] = field(default_factory=dict)
 
     def of(self, et: float | None) -> dict[str, str]:
         """Return what counts for a picture of this time (None: unknown), kernels by the names of their files."""
@@ -64,6 +71,19 @@ class NightInputs:
         parts = [part.sha256 for part in self.kernels if part.matters_at(et)]
         values = {"image": image_sha256, "common": dict(self.common), "kernels": parts}
         return fingerprint(values | ({"beside": dict(beside)} if beside else {}))
+
+    def touched(self) -> tuple[str, ...]:
+        """Return the names of files that have been written to, replaced or removed since they were read."""
+        return tuple(path.name for path, stamp in self.stamps.items() if file_stamp(path) != stamp)
+
+
+def file_stamp(path: Path) -> tuple[int, ...]:
+    """Return size and times of change (ns), which stay as long as nobody touches a file; empty where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return ()
+    return status.st_size, status.st_mtime_ns, status.st_ctime_ns
 
 
 def _by_file(parts: list[KernelPart]) -> dict[str, str]:
@@ -124,20 +144,25 @@ def night_inputs(
     OpNavError
         A file cannot be read.
     """
-    files = {name: value for name in FILES if (value := getattr(spec, name)) is not None}
-    named = {*files, "kernels", "catalog", "mission", "image"}
+    opened = KernelSet.active()
+    given = {name: Path(value) for name in FILES if (value := getattr(spec, name)) is not None}
+    files = given | {f"shape {body}": file.path for body, file in spec.shape_files.items()}
+    files |= {f"maplets {body}": Path(file) for body, file in spec.landmarks.items()}
+    missions = tuple(dict.fromkeys(with_named_files(mission.path)))
+    kernels = () if opened is None else tuple(file.path for file in opened.kernels())
+    read = (*files.values(), *missions, *catalog_files(spec.catalog), *kernels)
+    stamps = {path: file_stamp(path) for path in read}  # before they are read
+    named = {*given, "kernels", "catalog", "mission", "image"}
     common = {"version": __version__, "notebook": notebook}
     common |= {
         n: json.dumps(plain_values(v), sort_keys=True) for n, v in parameters.items() if n not in named
     }
-    common |= {name: sha256_of(value) for name, value in files.items()}
-    common |= {f"shape {body}": sha256_of(file.path) for body, file in spec.shape_files.items()}
+    common |= {name: sha256_of(path) for name, path in files.items()}
     stars = catalog_contents(spec.catalog)
     common["catalog"] = ", ".join(name for name, _ in stars)  # in order: the first names the stars
     common |= {f"catalog {name}": value for name, value in stars}
-    common |= {f"mission {p.name}": sha256_of(p) for p in dict.fromkeys(with_named_files(mission.path))}
-    opened = KernelSet.active()
-    return NightInputs(common, () if opened is None else kernel_parts(opened))
+    common |= {f"mission {path.name}": sha256_of(path) for path in missions}
+    return NightInputs(common, () if opened is None else kernel_parts(opened), stamps)
 
 
 def with_named_files(path: Path) -> Iterator[Path]:

@@ -10,29 +10,41 @@ Killed anywhere, the same command goes on: a picture's folder is whole or not th
 ``night.json`` says what was done, so that it is done once; it moves into place together with the results, in one rename.
 """
 
+import math
 import shutil
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 from opnav_workbench.errors import SessionError, plain_line
 from opnav_workbench.files import inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
-from opnav_workbench.headless.inputs import NightInputs, changes, night_inputs, picture_et
+from opnav_workbench.headless.inputs import (
+    NightInputs,
+    changes,
+    file_stamp,
+    fingerprint,
+    night_inputs,
+    picture_et,
+)
 from opnav_workbench.headless.night_archive import NightArchive
 from opnav_workbench.headless.night_carrying import carry_in_night
 from opnav_workbench.headless.night_psf import with_kept_psf
 from opnav_workbench.headless.night_spec import NightSpec, pictures_of_night
 from opnav_workbench.headless.night_workers import NightPool, NotebookOutcome, NotebookRequest
-from opnav_workbench.headless.notebook_run import load_papermill
+from opnav_workbench.headless.notebook_run import for_papermill, load_papermill
 from opnav_workbench.headless.records import (
+    RECORD_FILE,
     NightRecord,
     is_of_an_analyst,
     read_record,
-    result_status,
+    result_field,
     session_digest,
 )
 from opnav_workbench.headless.settling import settle, tidy_attic
@@ -44,7 +56,7 @@ from opnav_workbench.processing import notebook_parameters
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.resources import notebooks_dir
 from opnav_workbench.session import RESULT_FILE
-from opnav_workbench.session.folder_lock import FolderLock, check_unlocked
+from opnav_workbench.session.folder_lock import FolderInUse, FolderLock, check_unlocked
 from opnav_workbench.session.storage import session_owner
 
 __all__ = ["Night", "NightChoice", "NightPicture", "NightPlan", "plan_night", "run_night"]
@@ -55,6 +67,9 @@ NOTEBOOK = "process_image.ipynb"
 # its cells does no night over again.
 PACKAGED_NOTEBOOK = "6c55442aa9e39dd68f2aed0463bc6772c7fb5b152b95e730ccd53a1e24ec4e6d"
 WORK_FOLDER = ".work"
+CLOCKS_DIFFER_S = 60.0  # this machine's and a file server's
+# Beginnings of the names of a night's own files, which no picture's folder may have.
+OWN_NAMES = ("campaign.sqlite", "night.", "queue.json", "status.json", "summary.", "summary-", "trends.png")
 
 
 # ---- What there is to do.
@@ -116,6 +131,7 @@ class NightPlan:
     spec: NightSpec
     out: Path
     pictures: tuple[NightPicture, ...]
+    inputs: NightInputs
 
     @property
     def todo(self) -> tuple[NightPicture, ...]:
@@ -137,6 +153,7 @@ class NightPlan:
             retries=spec.retries,
             pages=spec.pages,
             warm=spec.warm,
+            contents=fingerprint(self.inputs.common),
         )
 
 
@@ -175,17 +192,19 @@ def plan_night(
         notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
         inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
         # Folders of the night have names that a log, a page and an archive can show.
-        names = picture_names(
-            pictures_of_night(spec), lambda name: _folder_owner(inside(folder, plain_line(name)))
-        )
+        names = picture_names(pictures_of_night(spec), partial(_folder_owner, folder))
         pictures = [
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
             for image, name in zip(names, map(plain_line, names.values()), strict=True)
         ]
-    return NightPlan(spec, folder, tuple(pictures))
+    return NightPlan(spec, folder, tuple(pictures), inputs)
 
 
-def _folder_owner(folder: Path) -> FolderOwner | None:
+def _folder_owner(out: Path, name: str) -> FolderOwner | None:
+    """Return whose a folder of a night is; a night's own files, links and whatever is no folder are nobody's picture's."""
+    folder = out / plain_line(name)
+    if folder.name.startswith(OWN_NAMES) or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+        return FolderOwner(out)
     record = read_record(folder)
     if record is not None:
         return FolderOwner(Path(record.image), record.image_sha256)
@@ -208,6 +227,8 @@ def _planned(
     used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
     state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
+    if state == "done" and not result_field(folder, "status"):
+        state, why = "new", (f"its {RESULT_FILE} is missing or damaged",)
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
         state, why = "arriving", (f"its file was written {age:.0f} s ago, and may not be whole",)
     return NightPicture(image, name, mark, state, why, basis)
@@ -223,24 +244,27 @@ def _beside(image: Path) -> dict[str, str]:
 
 
 def _age_s(image: Path) -> float:
-    """Return how long a file has been left alone; one that is gone again has not."""
+    """Return how long a file has been left alone; one that is gone again has not.
+
+    A time of change in the future tells nothing: the clock was set back, or it came with a copy.
+    """
     try:
         status = image.stat()
     except OSError:
         return 0.0
-    return max(time.time() - max(status.st_mtime, status.st_ctime), 0.0)
+    ages = [time.time() - changed for changed in (status.st_mtime, status.st_ctime)]
+    return min((max(age, 0.0) for age in ages if age > -CLOCKS_DIFFER_S), default=math.inf)
 
 
 def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: NightSpec) -> NightRecord:
     """What is known of a picture; a file that has not been touched since is not read again."""
     limits = {"time_limit_s": spec.time_limit_s, "memory_limit_mb": spec.memory_limit_mb}
+    stamp = file_stamp(image)
+    if record is not None and stamp and record.stamp == stamp and find_sidecar(image) is None:
+        return NightRecord(
+            str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
+        )
     try:
-        status = image.stat()
-        stamp = (status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        if record is not None and record.stamp == stamp and find_sidecar(image) is None:
-            return NightRecord(
-                str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
-            )
         sha256 = sha256_of(image)
     except OSError:  # gone, or unreadable for now: processing will say it
         return NightRecord(str(image), "", "", limits=limits)
@@ -275,13 +299,20 @@ def state_of(
     """
     if in_use:
         return "kept", (in_use,)
-    if is_of_an_analyst(record, session):
-        return "kept", ("an analyst has worked on it",)
+    if record is None and session:
+        return "kept", (
+            f"it has a session, and no {RECORD_FILE} that can be read tells of a night that made it",
+        )
     if record is None:
         return "new", ("not processed yet",)
+    if is_of_an_analyst(record, session):
+        return "kept", ("an analyst has worked on it",)
     again = FAULTS[record.fault].again_next_night if record.fault in FAULTS else "always"
-    if again == "always" or not record.fingerprint:
+    if again == "always":
         return "new", (f"the machine failed it: {record.reason}",)
+    if not record.fingerprint:
+        said = tuple(f"{name} was written to while it was processed" for name in record.touched)
+        return "new", said or changes(record.inputs, now.inputs)
     if again == "raised" and is_raised(record.limits, now.limits):
         return "new", (f"a limit is higher now than when it failed: {record.reason}",)
     if choice.retry_failed and (record.fault or record.status == "failed"):
@@ -308,6 +339,8 @@ class Night:
         Pictures whose place is an analyst's, each with why, and where the night's own result is.
     outlived
         Pictures that the machine failed and whose older results stand, each with why.
+    touched
+        Files that were written to while pictures were processed with them, and how many: those are not done.
     notes
         What else somebody must know.
     begun
@@ -321,6 +354,7 @@ class Night:
     unarchived: list[str] = field(default_factory=list)
     unplaced: dict[str, str] = field(default_factory=dict)
     outlived: dict[str, str] = field(default_factory=dict)
+    touched: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)
     begun: bool = False
     archive: Path | None = None
@@ -353,7 +387,7 @@ def run_night(
         Another night writes into the folder, or it cannot be written any more; what is finished is kept.
     """
     plan = night.plan
-    with _night_lock(plan.out), NightArchive(plan.out, archive, night.notes.append) as taken:
+    with _NightLock(plan.out) as lock, NightArchive(plan.out, archive, night.notes.append) as taken:
         night.begun, night.archive = True, taken.path
         begun()
         night.notes.extend(tidy_attic(plan.out))
@@ -363,7 +397,8 @@ def run_night(
         by_name = {picture.name: picture for picture in plan.todo}
         with closing(_verdicts(plan, pool)) as verdicts:
             for verdict in verdicts:
-                _put_results(night, by_name[verdict.name], verdict)
+                lock.hold()
+                verdict = _put_results(night, by_name[verdict.name], verdict)  # noqa: PLW2901
                 if FAULTS[verdict.fault].is_result and verdict.name not in night.unplaced:
                     _archive(night, taken, verdict.name)
                 night.verdicts.append(verdict)
@@ -393,56 +428,79 @@ def _verdicts(plan: NightPlan, pool: NightPool) -> Generator[NotebookOutcome, No
         yield from verdicts
 
 
-@contextmanager
-def _night_lock(out: Path) -> Iterator[None]:
-    work = make_folder(out / WORK_FOLDER)
-    try:
-        lock = FolderLock(work)
-    except SessionError as error:
-        raise SessionError(
-            f"another night writes into {out}; wait for it, or choose another folder ({error})"
-        ) from error
-    try:
-        _empty(work)  # what a night that was killed has left
-        yield
-    finally:
-        _empty(work)  # while it is ours: the next night may begin as soon as it is not
-        lock.release()
+class _NightLock:
+    """The right to be the night of a folder, as long as the block."""
+
+    def __init__(self, out: Path) -> None:
+        self._out, self._work = out, out / WORK_FOLDER
+        self._lock = self._taken()
+
+    def _taken(self) -> FolderLock:
+        try:
+            return FolderLock(make_folder(self._work))
+        except FolderInUse as error:
+            raise SessionError(
+                f"another night writes into {self._out} ({error.holder}); wait for it, or choose another folder."
+            ) from error
+
+    def hold(self) -> None:
+        """Take the right anew where somebody has deleted the working folder; refuse where another night has it now."""
+        if not self._lock.stands:
+            self._lock = self._taken()
+
+    def __enter__(self) -> Self:
+        self._empty()  # what a night that was killed has left
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._lock.stands:  # deleted, and perhaps another night's by now
+            return
+        self._empty()  # while it is ours: the next night may begin as soon as it is not
+        self._lock.release()
         with suppress(OSError):  # not empty: the next night has begun
-            work.rmdir()
+            self._work.rmdir()
+
+    def _empty(self) -> None:
+        for path in self._work.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
 
 
-def _empty(work: Path) -> None:
-    for path in work.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-
-
-def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) -> None:
-    """Put what a picture's process left into its place.
+def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) -> NotebookOutcome:
+    """Put what a picture's process left into its place; return the verdict, another one if that is gone.
 
     A fault of the machine tells nothing of the picture: an older result stays, and none is made up.
     """
-    plan, policy = night.plan, FAULTS[verdict.fault]
-    work = Path(verdict.folder) if verdict.folder else make_folder(plan.out / WORK_FOLDER / picture.name)
+    plan = night.plan
+    # Not there where no process was begun, or somebody has deleted it.
+    work = make_folder(verdict.folder or plan.out / WORK_FOLDER / picture.name)
     final = inside(plan.out, picture.name)
-    if not policy.is_result:
+    if not (verdict.fault or (work / RESULT_FILE).is_file()):
+        verdict = replace(
+            verdict, fault="machine", reason="its result was taken away from the night's folder"
+        )
+    if not FAULTS[verdict.fault].is_result:
         (work / RESULT_FILE).unlink(missing_ok=True)
         if (final / RESULT_FILE).is_file():
             night.outlived[picture.name] = f"the machine failed it, its older result stands: {verdict.reason}"
-            return
+            return verdict
     elif not (work / RESULT_FILE).is_file():
-        reason = verdict.reason or "the notebook wrote no result"
-        write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, reason))
-    settled = settle(work, final, _record(picture, verdict, work))
+        write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, verdict.reason))
+    record = _record(plan, picture, verdict, work)
+    night.touched.update(record.touched)
+    settled = settle(work, final, record)
     if not settled.placed:
         night.unplaced[picture.name] = settled.note
     elif settled.note:
         night.notes.append(f"{picture.name}: {settled.note}")
+    return verdict
 
 
-def _record(picture: NightPicture, verdict: NotebookOutcome, work: Path) -> NightRecord:
-    passing = not FAULTS[verdict.fault].is_result or (verdict.fault and not _is_as_planned(picture))
+def _record(plan: NightPlan, picture: NightPicture, verdict: NotebookOutcome, work: Path) -> NightRecord:
+    touched = (*_touched(picture, work), *plan.inputs.touched())
+    passing = touched or not FAULTS[verdict.fault].is_result
     return replace(
         picture.basis,
         fingerprint="" if passing else picture.fingerprint,
@@ -452,16 +510,17 @@ def _record(picture: NightPicture, verdict: NotebookOutcome, work: Path) -> Nigh
         seconds=verdict.seconds,
         peak_mb=verdict.peak_mb,
         tries=verdict.tries,
-        status=result_status(work),
+        status=result_field(work, "status"),
+        touched=touched,
     )
 
 
-def _is_as_planned(picture: NightPicture) -> bool:
-    """Tell whether the file of a picture that failed is still the one that the night was planned with."""
-    try:
-        return sha256_of(picture.image) == picture.basis.image_sha256
-    except OSError:
-        return False
+def _touched(picture: NightPicture, work: Path) -> tuple[str, ...]:
+    """Return the picture's name if its file, or what was processed, is not what the night was planned with."""
+    known = picture.basis
+    same = file_stamp(picture.image) == known.stamp
+    same &= result_field(work, "sha256") in ("", known.image_sha256)
+    return () if same else (picture.image.name,)
 
 
 def _archive(night: Night, archive: NightArchive, name: str) -> None:
@@ -478,7 +537,7 @@ def _check_notebook(path: Path, parameters: Mapping[str, Any]) -> None:
     """Refuse a notebook that would ignore parameters: papermill alone only warns."""
     papermill = load_papermill()
     try:
-        known = set(papermill.inspect_notebook(str(path)))
+        known = set(papermill.inspect_notebook(for_papermill(str(path))))
     except Exception as error:
         raise SessionError(f"the notebook {path} cannot be read ({error}); give a .ipynb file.") from error
     missing = sorted({*parameters, "out"} - known)

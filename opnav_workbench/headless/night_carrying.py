@@ -18,7 +18,7 @@ from opnav_workbench.headless.records import (
     RECORD_FILE,
     is_of_an_analyst,
     read_record,
-    result_status,
+    result_field,
     session_digest,
 )
 from opnav_workbench.headless.settling import Settled, settle
@@ -94,7 +94,7 @@ def _carried(
     except Exception as error:  # a defect of ours must not cost the other pictures
         return _not_carried(folder, near, plain_line(f"unforeseen {type(error).__name__}: {error}"))
     settled: Settled = settle(
-        copy, folder, replace(record, session=session_digest(copy), status=result_status(copy))
+        copy, folder, replace(record, session=session_digest(copy), status=result_field(copy, "status"))
     )
     return CarriedPicture(folder.name, settled.placed, settled.note)
 

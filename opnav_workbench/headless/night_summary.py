@@ -88,7 +88,14 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         "processed_now": len(now),
         "failed_now": len(failed),
         "not_archived": list(night.unarchived),
-        "notes": [*night.notes, *(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items())],
+        "notes": [
+            *night.notes,
+            *(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
+            *(
+                f"{n} was written to while the night ran: pictures processed with it ({count}) are done again next time"
+                for n, count in night.touched.items()
+            ),
+        ],
         "images": images,
     }
 

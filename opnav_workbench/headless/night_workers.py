@@ -9,6 +9,7 @@ only; the night moves that to its place.
 import contextlib
 import importlib
 import os
+import subprocess
 import threading
 import time
 import uuid
@@ -36,6 +37,7 @@ from opnav_workbench.headless.worker_check import unfit_because, what_to_ask
 from opnav_workbench.parts import install_command
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.session import RESULT_FILE
+from opnav_workbench.supervised import cause_of_end
 
 __all__ = [
     "EXECUTED_FILE",
@@ -53,6 +55,8 @@ __all__ = [
 EXECUTED_FILE, HTML_FILE, LOG_FILE = "notebook.ipynb", "notebook.html", "notebook.log"
 JOB_FILE, REPORT_FILE = ".job.json", ".report.json"
 WATCH_INTERVAL_S = 0.2
+ASLEEP_S = 2.0  # between two looks: more than a loaded machine needs, less than limits are long
+END_S = 60.0  # after SIGKILL, which a hanging file server puts off
 MB = 1 << 20
 
 
@@ -76,6 +80,8 @@ class NotebookRequest:
         Which notebooks are written as HTML, too.
     warm
         Whether its process may be a copy of one that has loaded everything.
+    contents
+        Digest of what `parameters` stand for: what a process has loaded serves as long as it is the same.
     """
 
     image: str
@@ -89,6 +95,7 @@ class NotebookRequest:
     retries: int = 0
     pages: str = "flagged"
     warm: bool = True
+    contents: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
@@ -155,11 +162,13 @@ def _one_try(job: NotebookRequest, stop: threading.Event, starter: Starter) -> N
     try:
         with _running(job, folder, starter) as child:
             started = time.monotonic()
-            fault, reason, peak = _watch(child, job, stop)
+            fault, reason, peak = _watch(child, job, folder / REPORT_FILE, stop)
     except WarmServerError as error:
         return NotebookOutcome(job.name, str(folder), "machine", str(error), 0.0, 0.0)
     if not fault:
         fault, reason = _read_report(folder, child.returncode)
+    if not fault and (folder / EXECUTED_FILE).is_file() and not (folder / RESULT_FILE).is_file():
+        fault, reason = "notebook", f"the notebook wrote no {RESULT_FILE}"
     if fault and FAULTS[fault].is_result:
         _write_failure(job, folder, reason)
     seconds = round(time.monotonic() - started, 2)
@@ -182,20 +191,28 @@ def _running(job: NotebookRequest, folder: Path, starter: Starter) -> Iterator[C
         "cwd": str(folder),
     }
     write_json(folder / JOB_FILE, task)
-    child = starter.start(folder / JOB_FILE, job.parameters, folder / LOG_FILE)
+    # A worker of a cluster lives for many nights: a file of the same name may have other contents in the next.
+    loaded = {**job.parameters, "contents": job.contents}
+    child = starter.start(folder / JOB_FILE, loaded, folder / LOG_FILE)
     try:
         yield child
     finally:
         if child.poll() is None:  # else its number may be another's by now
             _kill_family(child.pid)
-        child.wait()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(END_S)
         (folder / JOB_FILE).unlink(missing_ok=True)
 
 
-def _watch(child: Child, job: NotebookRequest, stop: threading.Event) -> tuple[str, str, float]:
+def _watch(child: Child, job: NotebookRequest, report: Path, stop: threading.Event) -> tuple[str, str, float]:
     """Wait for the process; return fault, reason and the most memory (MB) that it and its kernel held."""
-    deadline, peak = time.monotonic() + job.time_limit_s, 0.0
+    now, peak = time.monotonic(), 0.0
+    deadline = now + job.time_limit_s
     while child.poll() is None:
+        before, now = now, time.monotonic()
+        deadline += max(
+            now - before - ASLEEP_S, 0.0
+        )  # all of us were stopped meanwhile, or the machine slept
         peak = max(peak, _memory_mb(child.pid))
         if peak > job.memory_limit_mb:
             return (
@@ -203,7 +220,11 @@ def _watch(child: Child, job: NotebookRequest, stop: threading.Event) -> tuple[s
                 _limit_reason("memory", f"{peak:.0f} MB", f"{job.memory_limit_mb:.0f} MB", "memory_limit_mb"),
                 peak,
             )
-        if time.monotonic() > deadline:
+        if now > deadline and report.is_file():
+            break  # it is done, and only its end is not known yet
+        if now > deadline and _is_suspended(child.pid):
+            return "machine", "its process was suspended, and not continued within the time limit", peak
+        if now > deadline:
             return (
                 "limit",
                 _limit_reason("time", f"{job.time_limit_s:g} s", f"{job.time_limit_s:g} s", "time_limit_s"),
@@ -234,6 +255,12 @@ def _memory_mb(pid: int) -> float:
     return total / MB
 
 
+def _is_suspended(pid: int) -> bool:
+    with contextlib.suppress(psutil.Error):
+        return any(process.status() == psutil.STATUS_STOPPED for process in _process_family(pid))
+    return False
+
+
 def _kill_family(pid: int) -> None:
     for process in _process_family(pid):
         with contextlib.suppress(psutil.Error):
@@ -248,7 +275,7 @@ def _read_report(folder: Path, code: int) -> tuple[str, str]:
     except (OSError, ValueError):
         return (
             "machine",
-            f"the notebook's process ended with status {code} before it was done (see {LOG_FILE})",
+            f"the notebook's process ended ({cause_of_end(code)}) before it was done (see {LOG_FILE})",
         )
     return fault_of_report(report, EXECUTED_FILE)
 

@@ -65,12 +65,23 @@ def load_papermill() -> Any:
     return papermill
 
 
+def for_papermill(path: str) -> str:
+    """Return a path as papermill takes it, who fills parameters in between braces.
+
+    Examples
+    --------
+    >>> for_papermill("night/a{1}.ipynb")
+    'night/a{{1}}.ipynb'
+    """
+    return path.replace("{", "{{").replace("}", "}}")
+
+
 def _executed(job: dict[str, Any], engine: str | None) -> dict[str, Any]:
     papermill = load_papermill()  # after the watch has begun: it takes half a second
     try:
         papermill.execute_notebook(
-            job["notebook"],
-            job["executed"],
+            for_papermill(job["notebook"]),
+            for_papermill(job["executed"]),
             parameters=job["parameters"],
             engine_name=engine,
             kernel_name="python3",

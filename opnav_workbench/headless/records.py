@@ -19,7 +19,7 @@ __all__ = [
     "files_in",
     "is_of_an_analyst",
     "read_record",
-    "result_status",
+    "result_field",
     "session_digest",
     "write_record",
 ]
@@ -51,6 +51,8 @@ class NightRecord:
         Under which it was processed.
     files
         What the night wrote: name and SHA-256.
+    touched
+        Files that were written to while it was processed, so that nobody knows what came of which content.
     """
 
     image: str
@@ -68,6 +70,7 @@ class NightRecord:
     et: float | None = None
     limits: Mapping[str, float] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+    touched: tuple[str, ...] = ()
 
 
 def read_record(folder: Path) -> NightRecord | None:
@@ -104,10 +107,10 @@ def is_of_an_analyst(record: NightRecord | None, session: str) -> bool:
     return bool(session) if record is None else record.session != session
 
 
-def result_status(folder: Path) -> str:
-    """Return the status of a folder's result; empty where there is none that can be read."""
+def result_field(folder: Path, name: str) -> str:
+    """Return a text that a folder's result holds, such as its status; empty where there is none that can be read."""
     try:
-        return str(json_value(text_of(folder / RESULT_FILE))["status"])
+        return str(json_value(text_of(folder / RESULT_FILE))[name] or "")
     except (OSError, ValueError, KeyError, TypeError):
         return ""
 

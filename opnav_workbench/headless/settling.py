@@ -28,7 +28,7 @@ from opnav_workbench.headless.records import (
     session_digest,
     write_record,
 )
-from opnav_workbench.session.folder_lock import LOCK_FILE, FolderLock
+from opnav_workbench.session.folder_lock import LOCK_FILE, FolderInUse, FolderLock
 from opnav_workbench.session.storage import ATTIC
 
 __all__ = ["Settled", "settle", "tidy_attic"]
@@ -82,8 +82,10 @@ def _settled(work: Path, final: Path, record: NightRecord) -> Settled:
         if final.exists():
             try:
                 old = locks.enter_context(FolderLock(final))
+            except FolderInUse as error:
+                return _set_aside(work, final, new, f"it is open elsewhere ({error.holder})")
             except SessionError as error:
-                return _set_aside(work, final, new, f"it is open elsewhere ({error})")
+                return _set_aside(work, final, new, str(error))
             standing = read_record(final)
             if is_of_an_analyst(standing, session_digest(final)):
                 return _set_aside(work, final, new, "an analyst has worked on it")

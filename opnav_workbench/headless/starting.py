@@ -34,8 +34,8 @@ class Child(Protocol):
         """Return how it ended; None while it runs."""
         ...
 
-    def wait(self) -> Any:
-        """Wait for its end."""
+    def wait(self, timeout: float | None = None) -> Any:
+        """Wait for its end, or for some seconds."""
         ...
 
 

@@ -27,7 +27,7 @@ from opnav_workbench.format_versions import stamped
 from opnav_workbench.headless.faults import FAULTS
 from opnav_workbench.headless.night import NightPlan
 from opnav_workbench.headless.night_workers import NotebookOutcome
-from opnav_workbench.headless.records import result_status
+from opnav_workbench.headless.records import result_field
 from opnav_workbench.version import __version__
 
 __all__ = ["LOG_FILE", "METRICS_FILE", "STATUS_FILE", "NightWatch"]
@@ -71,7 +71,7 @@ class NightWatch:
         every_s: float = HEARTBEAT_S,
     ) -> None:
         self._plan, self._heartbeat, self._every_s = plan, heartbeat, every_s
-        self._began = time.time()
+        self._began, self._began_at = time.time(), time.monotonic()
         self._statuses: Counter[str] = Counter()
         self._faults: Counter[str] = Counter()
         self._retries = 0
@@ -84,7 +84,8 @@ class NightWatch:
 
     def begin(self) -> None:
         """Write from now on: the folder is this night's."""
-        plan, self._began, self._state = self._plan, time.time(), "running"
+        plan, self._state = self._plan, "running"
+        self._began, self._began_at = time.time(), time.monotonic()
         with suppress(OSError):
             handler = logging.FileHandler(self._path, encoding="utf-8")
             formatter = logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%SZ")
@@ -119,7 +120,9 @@ class NightWatch:
 
     def said(self, verdict: NotebookOutcome) -> None:
         """Take down what became of a picture."""
-        status = "failed" if verdict.fault else result_status(self._plan.out / verdict.name) or "failed"
+        status = (
+            "failed" if verdict.fault else result_field(self._plan.out / verdict.name, "status") or "failed"
+        )
         self._statuses[status] += 1
         self._faults[verdict.fault] += bool(verdict.fault)
         self._retries += verdict.tries - 1
@@ -144,7 +147,7 @@ class NightWatch:
         """Return how the night goes, as plain values."""
         now, todo = time.time(), len(self._plan.todo)
         done = sum(self._statuses.values())
-        rate = done / max(now - self._began, 1e-9) * 60.0
+        rate = done / max(time.monotonic() - self._began_at, 1e-9) * 60.0  # whatever happens to the clock
         left = todo - done
         ready = _utc(now + left / rate * 60.0) if rate > 0.0 and self._state == "running" else None
         content = {

@@ -1,6 +1,7 @@
 """Picture files: what paths, folders and patterns stand for, and how each picture's own folder of results is named."""
 
 import glob
+import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import sha256_of
+from opnav_workbench.files import digest, sha256_of
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file, is_folder
 
@@ -23,6 +24,7 @@ PICTURE_SUFFIXES = (".fit", ".fits", ".fts", ".fit.gz", ".fits.gz", ".img", ".vi
 # In folders that hold other things of these endings too, only those with a sidecar are pictures.
 WITH_SIDECAR = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".raw")
 WILDCARDS = "*?["
+PATH_DIGITS = 8
 
 
 def picture_files(images: Iterable[str | Path]) -> tuple[Path, ...]:
@@ -31,7 +33,8 @@ def picture_files(images: Iterable[str | Path]) -> tuple[Path, ...]:
     Parameters
     ----------
     images
-        Files; folders (the pictures in them, sorted); patterns with ``* ? [`` (``**`` goes through folders).
+        Files; folders (the pictures in them, sorted); patterns with ``* ? [`` (``**`` goes through folders). Hidden files
+        are passed over there, as what is still being copied often is one.
 
     Raises
     ------
@@ -49,7 +52,7 @@ def _expanded(image: str | Path) -> list[Path]:
     if is_file(path):
         return [path.resolve()]
     if is_folder(path):
-        inside = [p for p in path.iterdir() if p.is_file() and _is_picture(p)]
+        inside = [p for p in path.iterdir() if not p.name.startswith(".") and p.is_file() and _is_picture(p)]
         return _sorted(inside) or _nothing(
             f"the folder {path} holds no picture ({', '.join(PICTURE_SUFFIXES)})."
         )
@@ -107,7 +110,8 @@ def picture_names(
 ) -> dict[Path, str]:
     """Return the name of each picture's folder: its stem, with the folder it lies in where that is another's.
 
-    A picture keeps the folder that it has, whatever others come later; one that was moved takes its folder along.
+    Where both are another's, part of the digest of its path stands behind. A picture keeps the folder that it has, whatever
+    others come later; one that was moved takes its folder along.
 
     Parameters
     ----------
@@ -128,6 +132,8 @@ def picture_names(
     >>> known = {"x": FolderOwner(Path("a/x.fit"))}
     >>> list(picture_names((Path("a/x.fit"), Path("b/x.fit")), known.get).values())
     ['x', 'b_x']
+    >>> list(picture_names((Path("1/raw/x.fit"), Path("2/raw/x.fit"))).values())
+    ['raw_x-1de0f3c7', 'raw_x-355a5701']
     """
     bad = [str(path) for path in pictures if path.stem.strip(".") == "" or path.stem.startswith(".")]
     if bad:
@@ -135,11 +141,15 @@ def picture_names(
     owners = {name: owner(name) for path in pictures for name in _candidates(path)}
     names = _kept_names(pictures, owners)
     new = [path for path in pictures if path not in names]
-    stems = Counter(path.stem for path in new)
-    for path in new:
-        stem, longer = _candidates(path)
-        names[path] = stem if owners[stem] is None and stems[stem] == 1 else longer
-    _check_names(names, [path for path in new if owners[names[path]] is not None])
+    for candidate in range(len(_candidates(Path()))):
+        wished = {path: _candidates(path)[candidate] for path in new}
+        count = Counter((*names.values(), *wished.values()))
+        names |= {path: name for path, name in wished.items() if owners[name] is None and count[name] == 1}
+        new = [path for path in new if path not in names]
+    if new:
+        raise SessionError(
+            f"more than one picture is named {new[0].stem}; give each its own folder of results, in a call of its own."
+        )
     return {path: names[path] for path in pictures}
 
 
@@ -158,8 +168,9 @@ def _kept_names(pictures: Sequence[Path], owners: Mapping[str, FolderOwner | Non
     return names
 
 
-def _candidates(path: Path) -> tuple[str, str]:
-    return path.stem, f"{path.parent.name}_{path.stem}"
+def _candidates(path: Path) -> tuple[str, str, str]:
+    longer = f"{path.parent.name}_{path.stem}"
+    return path.stem, longer, f"{longer}-{digest(os.fsencode(path).hex())[:PATH_DIGITS]}"
 
 
 def _is_at(path: Path, owner: FolderOwner, _present: Collection[Path]) -> bool:
@@ -171,13 +182,3 @@ def _was_moved_from(path: Path, owner: FolderOwner, present: Collection[Path]) -
     if owner.path in present:
         return False
     return owner.sha256 == sha256_of(path) if owner.sha256 else not owner.path.exists()
-
-
-def _check_names(names: Mapping[Path, str], of_others: Iterable[Path]) -> None:
-    twice = [name for name, count in Counter(names.values()).items() if count > 1]
-    twice += [names[path] for path in of_others]
-    if twice:
-        raise SessionError(
-            f"more than one picture is named {', '.join(sorted(set(twice)))}; give each its own folder of results, "
-            "in a call of its own."
-        )

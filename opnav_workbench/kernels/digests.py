@@ -9,12 +9,12 @@ import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
 from opnav_workbench.errors import KernelError
-from opnav_workbench.files import digest
+from opnav_workbench.files import HASH_CHUNK_BYTES, digest
 from opnav_workbench.kernels import coverage, pool
 from opnav_workbench.kernels.calls import spice_call
 from opnav_workbench.kernels.files import DafSegment, KernelFile, segments
@@ -83,19 +83,21 @@ def _parts_of(file: KernelFile) -> Iterator[KernelPart]:
         yield KernelPart(file.path.name, file.sha256)
     else:
         try:
-            words = np.memmap(file.path, dtype=np.uint8, mode="r")
+            with file.path.open("rb") as stream:
+                for segment in held:
+                    yield _segment_part(file, segment, stream)
         except OSError as error:
             raise KernelError(f"cannot read {file.path}: {error.strerror}; check its permissions.") from error
-        for segment in held:
-            yield _segment_part(file, segment, words)
 
 
-def _segment_part(
-    file: KernelFile, segment: DafSegment, data: "np.memmap[tuple[int], np.dtype[np.uint8]]"
-) -> KernelPart:
+def _segment_part(file: KernelFile, segment: DafSegment, stream: BinaryIO) -> KernelPart:
     what = segment.words
     summed = hashlib.sha256(repr((file.kind, segment.doubles, segment.integers[:-2])).encode())
-    summed.update(data[what.start * WORD_BYTES : what.stop * WORD_BYTES].tobytes())
+    stream.seek(what.start * WORD_BYTES)  # not mapped: a file cut short meanwhile would end this process
+    left = (what.stop - what.start) * WORD_BYTES
+    while left > 0 and (piece := stream.read(min(left, HASH_CHUNK_BYTES))):
+        summed.update(piece)
+        left -= len(piece)
     start, stop = segment.doubles
     if file.kind == "CK":
         start, stop = _times_of_ticks(segment)

@@ -255,21 +255,23 @@ def looks_like_kernel(path: Path) -> bool:
     return any(word.startswith(known) for known in (*BINARY_KINDS, *TEXT_KINDS))
 
 
-def _state(path: Path) -> tuple[int, int]:
+def _state(path: Path) -> tuple[int, int, int]:
+    """Return both times of change, since a copy may keep that of what it is a copy of, and the size."""
     try:
         size = regular_size(path)  # a pipe would block
-        return path.stat().st_mtime_ns, size
+        status = path.stat()
     except OSError as error:
         raise KernelError(f"cannot read {path}: {error.strerror or error}; check the path.") from error
+    return status.st_mtime_ns, status.st_ctime_ns, size
 
 
 @functools.lru_cache(maxsize=1024)
-def _sha256(path: str, mtime_ns: int, size: int) -> str:  # noqa: ARG001 (the file's state is the cache's key)
+def _sha256(path: str, mtime_ns: int, ctime_ns: int, size: int) -> str:  # noqa: ARG001 (the file's state is the cache's key)
     return sha256_of(path)
 
 
 @functools.lru_cache(maxsize=1024)
-def _inspect(path: str, mtime_ns: int, size: int) -> tuple[str, tuple[DafSegment, ...]]:  # noqa: ARG001
+def _inspect(path: str, mtime_ns: int, ctime_ns: int, size: int) -> tuple[str, tuple[DafSegment, ...]]:  # noqa: ARG001
     file = Path(path)
     try:
         with file.open("rb") as stream:

@@ -27,12 +27,29 @@ from filelock import FileLock, Timeout
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_value, text_of
 
-__all__ = ["FolderLock", "check_unlocked"]
+__all__ = ["FolderInUse", "FolderLock", "check_unlocked"]
 
 LOCK_FILE = ".session.lock"
 # A night holds the lock while it moves a folder, a reader while it asks for it: less than this, and not worth a refusal.
 PATIENCE_S, PAUSE_S = 0.25, 0.02
 NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)  # of a file system that knows none
+
+
+class FolderInUse(SessionError):  # noqa: N818  no fault: it is at work
+    """Another process writes into a folder.
+
+    Attributes
+    ----------
+    holder
+        Who, in words.
+    """
+
+    def __init__(self, folder: Path, holder: str) -> None:
+        self.holder = holder
+        super().__init__(
+            f"{folder} is being written by {holder}; close the session there, or resume it here without autosave and save "
+            "it into another folder."
+        )
 
 
 class FolderLock:
@@ -45,8 +62,10 @@ class FolderLock:
 
     Raises
     ------
+    FolderInUse
+        Another process holds it.
     SessionError
-        Another process holds it (it is named), or the folder cannot be written.
+        The folder cannot be written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -84,6 +103,11 @@ class FolderLock:
                     self._path.unlink()
         self._lock.release()
         self._held = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether the lock still counts: its file was not deleted, nor its folder."""
+        return _stands(self._lock, self._path)
 
     def moved(self, folder: Path) -> None:
         """Say where the folder is after whoever holds the lock has renamed it."""
@@ -143,13 +167,13 @@ def _asked(path: Path) -> FileLock:
     try:
         lock.acquire()
     except Timeout:
-        raise SessionError(_refusal(path, _holder(path))) from None
+        raise FolderInUse(path.parent, _named(_holder(path))) from None
     except OSError as error:
         if error.errno not in NO_LOCKS:
             raise
         holder = _holder(path)
         if _runs_here(holder) or holder.get("host") not in (None, socket.gethostname()):
-            raise SessionError(_refusal(path, holder)) from error
+            raise FolderInUse(path.parent, _named(holder)) from error
     return lock
 
 
@@ -183,13 +207,6 @@ def _runs_here(holder: Mapping[str, Any]) -> bool:
     except OSError:
         return True
     return True
-
-
-def _refusal(path: Path, holder: Mapping[str, Any]) -> str:
-    return (
-        f"{path.parent} is being written by {_named(holder)}; close the session there, or resume it here without autosave "
-        "and save it into another folder."
-    )
 
 
 def _named(holder: Mapping[str, Any]) -> str:

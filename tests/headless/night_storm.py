@@ -1,5 +1,7 @@
 """A storm over a night, ``python tests/headless/night_storm.py [--warm] [--pictures 300] [--events 500] [--seed 1]``.
 
+``--keep FOLDER --seconds 500`` holds on after that time, with status 75; the same command goes on with the storm.
+
 Nights with changing options run over the same pictures and are killed (SIGKILL) or ended (SIGTERM) at random moments, while
 analysts open some of the pictures, decide, and leave or are killed.  Real processes, locks and signals; a picture's
 processing is stood in for, so that an event takes a second.  With ``--warm`` a short notebook stands in for it, in copies of
@@ -13,6 +15,7 @@ Prints what happened; exit status 1 if anything was lost.
 """
 
 import argparse
+import json
 import os
 import random
 import signal
@@ -30,6 +33,7 @@ from rich.console import Console
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli.nightly import _run_plan
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import write_json
 from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.night_workers import LocalPool
 from opnav_workbench.headless.records import is_of_an_analyst, read_record, session_digest
@@ -42,6 +46,8 @@ MODELS = ("euler", "image_plane")
 NEW_DESKS = 0.05  # of the events
 LONGEST_S = 2.5  # before a night is ended: some come far, some not to their first picture
 LONGEST_WARM_S = 15.0  # of which it takes some to load everything
+STATE_FILE = "storm.json"
+TO_BE_CONTINUED = 75
 
 
 def work(job, folder):
@@ -113,23 +119,29 @@ class Storm:
     """Pictures, their nights and their analysts."""
 
     def __init__(self, top: Path, pictures: int, desks: int, seed: int, *, warm: bool = False) -> None:
-        self.chance = random.Random(seed)
+        self.top, self.n_desks, self.warm = top, desks, warm
         self.images, self.out = top / "in", top / "out"
-        self.images.mkdir()
-        for number in range(pictures):
-            (self.images / f"p{number:04d}.fit").write_text(f"picture {number}")
-        names = sorted(path.stem for path in self.images.iterdir())
-        self.names, self.n_desks = names, desks
-        self.desks, self.used = self.chance.sample(names, desks), set[str]()
         self.told, self.tell = os.pipe()
         os.set_blocking(self.told, False)
-        self.saved: set[str] = set()
-        self.count: Counter[str] = Counter()
-        self.events = 0
         self.analysts: list[int] = []
-        self.warm = warm
+        before = json.loads((top / STATE_FILE).read_text()) if (top / STATE_FILE).exists() else {}
+        self.saved, self.used = set(before.get("saved", ())), set(before.get("used", ()))
+        self.count, self.events = Counter(before.get("count", {})), before.get("events", 0)
+        self.chance = random.Random(f"{seed} {self.events}")
         self.how = {"notebook": str(short_notebook(top / "short.ipynb")), "retries": 1} if warm else {}
-        self.night(self.out, MODELS[0], peace=True)
+        if not before:
+            self.images.mkdir()
+            for number in range(pictures):
+                (self.images / f"p{number:04d}.fit").write_text(f"picture {number}")
+            self.night(self.out, MODELS[0], peace=True)
+        self.names = sorted(path.stem for path in self.images.iterdir())
+        self.desks = before.get("desks") or self.chance.sample(self.names, desks)
+
+    def hold_on(self) -> None:
+        """Let the analysts leave, and write down all that is to be known when the storm goes on."""
+        self.look_after(wait=True)
+        known = {"saved": sorted(self.saved), "used": sorted(self.used), "desks": self.desks}
+        write_json(self.top / STATE_FILE, {**known, "count": dict(self.count), "events": self.events})
 
     def night(self, out: Path, model: str, *, peace: bool = False) -> None:
         """One night, in this process."""
@@ -237,17 +249,32 @@ def main() -> int:
     for name, value in (("pictures", 300), ("events", 500), ("desks", 10), ("seed", 1)):
         parser.add_argument(f"--{name}", type=int, default=value)
     parser.add_argument("--warm", action="store_true")
+    parser.add_argument("--keep", type=Path, help="folder of a storm that goes on another time")
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     given = parser.parse_args()
+    if given.keep:
+        given.keep.mkdir(exist_ok=True)
+        return weather(given.keep, given)
     with tempfile.TemporaryDirectory() as folder:
-        storm = Storm(Path(folder), given.pictures, given.desks, given.seed, warm=given.warm)
-        began, told = time.monotonic(), 0
-        while storm.events < given.events:
-            storm.cut_short()
-            if storm.events >= told + 25:
-                told = storm.events
-                say(f"{told} events, {time.monotonic() - began:.0f} s: {dict(storm.count)}")
-        wrong = storm.verdict(Path(folder))
-        say(f"{dict(storm.count)}\n" + ("\n".join(wrong) or "nothing lost, nothing else changed"))
+        return weather(Path(folder), given)
+
+
+def weather(top: Path, given: argparse.Namespace) -> int:
+    """Storm until all has happened, or for a while; return the exit status."""
+    began = time.monotonic()
+    storm = Storm(top, given.pictures, given.desks, given.seed, warm=given.warm)
+    told = storm.events
+    while storm.events < given.events:
+        storm.cut_short()
+        if storm.events >= told + 25:
+            told = storm.events
+            say(f"{told} events, {time.monotonic() - began:.0f} s: {dict(storm.count)}")
+        if time.monotonic() > began + given.seconds:
+            storm.hold_on()
+            say(f"{storm.events} events, to be continued")
+            return TO_BE_CONTINUED
+    wrong = storm.verdict(top)
+    say(f"{dict(storm.count)}\n" + ("\n".join(wrong) or "nothing lost, nothing else changed"))
     return bool(wrong)
 
 
