@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,10 +16,15 @@ from typer.testing import CliRunner
 from opnav_workbench.campaign import Campaign
 from opnav_workbench.cli import app, nightly
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
+from opnav_workbench.errors import SessionError
 from opnav_workbench.headless import night as night_module
 from opnav_workbench.headless.night import plan_night
+from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.notebook_run import for_papermill
 from opnav_workbench.headless.watching import NightWatch
+from opnav_workbench.kernels.files import kernel_file
+from opnav_workbench.mission import load_mission
 from opnav_workbench.session.folder_lock import FolderLock
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -126,7 +133,113 @@ def test_what_lies_beside_a_picture_counts_as_the_picture_does(images, out):
     assert states(images, out) == {"a": "new"}
 
 
+@pytest.mark.slow
+def test_maplets_of_other_content_under_the_old_name_are_noticed(images, out, tmp_path, monkeypatch):
+    monkeypatch.setattr(NightSpec, "opened", lambda _: SimpleNamespace(mission=load_mission("new_horizons")))
+    (tmp_path / "pluto.npz").write_text("some")
+    how = {"landmarks": {"PLUTO": str(tmp_path / "pluto.npz")}}
+    night(images, out, how=how)
+    assert states(images, out, **how) == {"a": "done"}
+    (tmp_path / "pluto.npz").write_text("others")
+    assert states(images, out, **how) == {"a": "new"}
+
+
+@pytest.mark.parametrize(
+    ("name", "verdict"),
+    [("in/a.fit", None), ("one_star.npz", ("picture", "cut short"))],
+    ids=["solved", "failed"],
+)
+def test_what_was_there_for_a_moment_only_is_nobodys_result(images, out, tmp_path, name, verdict):
+    """A file replaced while the night ran, and put back as it was: the digests say that nothing has happened."""
+    file = tmp_path / name
+    spec_of(images)  # writes the catalog
+
+    def work(job, folder):
+        as_it_was = file.read_bytes()
+        file.write_bytes(b"other")
+        result_of(job, folder)
+        file.write_bytes(as_it_was)
+        return verdict
+
+    made = night(images, out, StubPool(work))
+    assert f"{file.name} was written to while the night ran" in write_night_summary(made)["notes"][0]
+    (picture,) = plan_night(spec_of(images), out).pictures
+    assert (picture.state, picture.why) == ("new", (f"{file.name} was written to while it was processed",))
+
+
+def test_a_kernel_of_the_same_size_and_time_of_change_is_noticed(tmp_path):
+    file = tmp_path / "a.tls"
+    file.write_text("KPL/LSK\n\\begindata\nA = 1\n")
+    before, times = kernel_file(file).sha256, (0, 10**18)
+    os.utime(file, ns=times)
+    kernel_file(file)
+    file.write_text("KPL/LSK\n\\begindata\nA = 2\n")
+    os.utime(file, ns=times)
+    assert kernel_file(file).sha256 != before
+
+
 # ---- Passing faults
+
+
+def test_a_result_that_was_taken_away_is_made_again(images, out):
+    """Of two pictures one loses its working folder, and all lose the night's lock, before the results are in place."""
+    (images / "b.fit").write_text("picture b")
+
+    def work(job, folder):
+        result_of(job, folder)
+        if job.name == "a":
+            shutil.rmtree(folder.parent)
+
+    made = night(images, out, StubPool(work))
+    assert [(v.name, v.fault) for v in made.verdicts] == [("a", "machine"), ("b", "")]
+    assert states(images, out) == {"a": "new", "b": "done"}
+    (out / "b" / "result.json").write_text('{"status": "o')  # damaged since
+    assert states(images, out) == {"a": "new", "b": "new"}
+
+
+@pytest.mark.slow
+def test_a_night_whose_folder_another_has_taken_ends(images, out):
+    def work(job, folder):
+        result_of(job, folder)
+        shutil.rmtree(folder.parent)
+        folder.parent.mkdir()
+        others.append(FolderLock(folder.parent))
+
+    others: list[FolderLock] = []
+    with pytest.raises(SessionError, match=r"another night writes into .* \(.*process \d+"):
+        night(images, out, StubPool(work))
+    others[0].release()
+
+
+def test_names_that_mean_something_elsewhere_are_names(images, out):
+    for name in ("p{image}", "-p", "p\nq", "campaign.sqlite", "summary.json"):
+        (images / f"{name}.fit").write_text(name)
+    write_night_summary(night(images, out))
+    assert set(states(images, out).values()) == {"done"}
+    assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
+
+
+def test_what_stands_in_a_pictures_place_is_left_alone(images, out, tmp_path):
+    """A link out of the folder and a file; hidden files, as copying programs make them, are no pictures."""
+    (images / "b.fit").write_text("picture b")
+    (images / ".b.fit").write_text("half of it")
+    (tmp_path / "elsewhere").mkdir()
+    out.mkdir()
+    (out / "a").symlink_to(tmp_path / "elsewhere")
+    (out / "b").write_text("mine")
+    night(images, out)
+    assert [(out / name / "result.json").is_file() for name in ("in_a", "in_b")] == [True, True]
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+    assert (out / "b").read_text() == "mine"
+
+
+def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
+    """The clock was set back, or the file's time came with it from elsewhere."""
+    ahead = time.time() + 1e6
+    os.utime(images / "a.fit", (ahead, ahead))
+    assert states(images, out, choice={"quiet_s": 1e3}) == {"a": "arriving"}  # written this moment
+    time.sleep(0.2)
+    assert states(images, out, choice={"quiet_s": 0.2}) == {"a": "new"}
 
 
 @pytest.mark.parametrize("fault", ["machine", "limit"])

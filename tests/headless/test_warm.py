@@ -5,6 +5,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import nbformat
@@ -14,7 +15,7 @@ import pytest
 from opnav_workbench.headless import starting
 from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec
-from opnav_workbench.headless.night_workers import LocalPool
+from opnav_workbench.headless.night_workers import LocalPool, NotebookRequest, process_picture
 from opnav_workbench.headless.warm_server import WarmServerError, can_fork
 from opnav_workbench.resources import notebooks_dir
 
@@ -96,6 +97,33 @@ def test_where_nothing_can_be_copied_a_night_goes_the_cold_way_and_says_so(tmp_p
     assert [starter.start(tmp_path / "job", {}, tmp_path / "log") for _ in range(3)] == ["a cold process"] * 3
     assert len(told) == 1
     assert "libraries started 3 threads" in told[0]
+
+
+def test_what_is_loaded_serves_as_long_as_its_contents_are_the_same(tmp_path, monkeypatch):
+    """A cluster's worker lives for many nights, and a catalog may be another under its old name."""
+    used = []
+
+    class Loaded:
+        alive = True
+
+        def __init__(self, how, _environment):
+            self.contents = how["contents"]
+
+        def start(self, _job):
+            used.append(self.contents)
+            return SimpleNamespace(pid=0, returncode=1, poll=lambda: 1, wait=lambda _: 1)
+
+        def close(self):
+            used.append("closed")
+
+    monkeypatch.setattr(starting, "WarmServer", Loaded)
+    starter = starting.WarmStarter()
+    for contents in ("one", "one", "another"):
+        job = NotebookRequest(
+            "a.fit", "a", str(tmp_path), "n", {"mission": "m"}, "m", 1.0, 500.0, contents=contents
+        )
+        assert process_picture(job.to_dict(), starter=starter)["fault"] == "machine"
+    assert used == ["one", "one", "closed", "another"]
 
 
 class Warming:
