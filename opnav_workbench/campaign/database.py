@@ -90,6 +90,8 @@ BUSY_TIMEOUT_S = 60.0  # a picture is ingested in milliseconds: a minute is a qu
 ATTEMPTS = 20  # of a transaction that SQLite refuses at once (lock of a recovery, change of journal mode)
 PAUSE_S = 0.05
 SQLITE_MAGIC = b"SQLite format 3\x00"
+FORMAT_BYTES = slice(18, 20)  # of a file's head: to write, to read
+KNOWN_FORMATS = {1, 2}
 WRITE = {"opnav_write": True}
 
 Answer = TypeVar("Answer")
@@ -193,11 +195,10 @@ class Database:
         )
 
     def _named(self, error: DatabaseError) -> SessionError:
-        kind = (
-            ArchiveDamaged
-            if _code(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
-            else SessionError
-        )
+        code = _code(error)
+        damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+        damaged |= code == sqlite3.SQLITE_READONLY and _has_strange_format(self.path)
+        kind = ArchiveDamaged if damaged else SessionError
         return kind(
             f"campaign archive {self.path}: {getattr(error, 'orig', error)}. Check the file, its folder's permissions "
             "and free space; `opnav campaign ingest` makes a new one from the run folders."
@@ -228,6 +229,13 @@ def _check_file(path: Path, create: bool) -> None:
         # Of our own name it is ours, with a damaged head; of another it may be anything.
         kind = ArchiveDamaged if path.name == ARCHIVE_FILE else SessionError
         raise kind(f"{path} is not a campaign archive (no SQLite file); give another name.")
+
+
+def _has_strange_format(path: Path) -> bool:
+    """Tell whether a file's head names a format that SQLite does not have, and therefore only reads."""
+    with path.open("rb") as stream:
+        head = stream.read(FORMAT_BYTES.stop)
+    return not set(head[FORMAT_BYTES]) <= KNOWN_FORMATS
 
 
 def _busy(error: DatabaseError) -> bool:

@@ -327,7 +327,7 @@ def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypa
 
 
 @pytest.mark.slow(keep=("head",))
-@pytest.mark.parametrize("damage", ["head", "pages"])
+@pytest.mark.parametrize("damage", ["head", "format", "pages"])
 def test_a_damaged_archive_is_made_anew(images, out, damage):
     (images / "b.fit").write_text("picture b")
     night(images, out)
@@ -335,7 +335,7 @@ def test_a_damaged_archive_is_made_anew(images, out, damage):
     with Campaign(out) as campaign:
         whole = campaign.digest()
     content = bytearray(file.read_bytes())
-    start, end = (0, 16) if damage == "head" else (100, len(content))
+    start, end = {"head": (0, 16), "format": (18, 19), "pages": (100, len(content))}[damage]
     content[start:end] = b"\x55" * (end - start)
     file.write_bytes(content)
     made = night(images, out)
