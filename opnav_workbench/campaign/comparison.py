@@ -21,6 +21,7 @@ from opnav_workbench.geometry.rotations import matrix_from_quaternion, vector_fr
 __all__ = ["Comparison", "Difference", "compare"]
 
 POINTING = "pointing"
+SOURCES = ("attitude_source", "observer_source")
 AXES = {POINTING: ("x", "y", "z")}  # of the camera; of bodies pixel and line
 
 
@@ -192,8 +193,11 @@ def _inputs(rows: list[Mapping[str, Any]]) -> dict[str, str]:
     """Return what pictures were made with: what, and its value or digest; several values with their counts."""
     found: dict[str, Counter[str]] = {}
     for row in rows:
-        for name in ("version", "catalog", "attitude_source", "observer_source"):
-            found.setdefault(name.replace("_", " "), Counter())[str(row[name] or "none")] += 1
+        told = {name.replace("_", " "): row[name] for name in ("version", "catalog", *SOURCES)}
+        told |= {"pointing model": row["model"]} if row["model"] else {}
+        told |= {f"setting {name}": value for name, value in (row["settings"] or {}).items()}
+        for name, value in told.items():
+            found.setdefault(name, Counter())[str("none" if value in (None, "") else value)] += 1
         for kernel in row["kernels"] or ():
             digest = str(kernel.get("sha256") or "unknown")[:12]
             found.setdefault(f"kernel {Path(str(kernel.get('file'))).name}", Counter())[digest] += 1

@@ -51,6 +51,7 @@ PART_COLUMNS: dict[str, tuple[Column, ...]] = {
     "journal": JOURNAL,
     "provenance": PROVENANCE,
 }
+MADE_WITH = ("version", "catalog", "attitude_source", "observer_source", "kernels", "settings")
 # Of the picture, beside the rows of its parts.
 IMAGE_COLUMNS = ("image", "utc", "et")
 ARCHIVE_COLUMNS = (
@@ -157,16 +158,17 @@ def query_solutions(connection: sa.Connection) -> dict[str, dict[str, Any]]:
     Returns
     -------
     mapping of str to dict
-        ``image, et, status, quaternion, covariance, version, catalog, attitude_source, observer_source, kernels`` and
-        ``bodies``: by "BODY, method" their ``status``, ``residual`` (pixel, line; None where not measured) and its
-        ``covariance``.
+        ``image, et, status, quaternion, covariance, model, version, catalog, attitude_source, observer_source, kernels,
+        settings`` and ``bodies``: by "BODY, method" their ``status``, ``residual`` (pixel, line; None where not measured) and
+        its ``covariance``.
     """
     images, pointings, made = tables["images"], tables["pointings"], tables["provenance"]
     query = sa.select(
         *[images.c[name] for name in ("key", "image", "et", "status")],
         pointings.c.quaternion_camera_from_j2000.label("quaternion"),
         pointings.c.covariance_rad2.label("covariance"),
-        *[made.c[name] for name in ("version", "catalog", "attitude_source", "observer_source", "kernels")],
+        pointings.c.model,
+        *[made.c[name] for name in MADE_WITH],
     ).select_from(images.outerjoin(pointings).outerjoin(made))
     found = {row["key"]: {**row, "bodies": {}} for row in connection.execute(query).mappings()}
     bodies = tables["bodies"]

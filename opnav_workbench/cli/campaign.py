@@ -581,6 +581,8 @@ def compare(
         console = Console(soft_wrap=True)
         _print_comparison(console, found)
         print_answer("differences", moved[:SHOWN_DIFFERENCES], format_, out)
+        if len(moved):
+            console.print(COMPARED, highlight=False)
         if len(moved) > SHOWN_DIFFERENCES:
             console.print(f"the largest of {len(moved)}; --format csv gives all", highlight=False)
     else:
@@ -588,6 +590,12 @@ def compare(
     if plot is not None:
         report.write_png(report.comparison_figure(found, f"{first} and {second}"), plot)
         Console(soft_wrap=True, stderr=True).print(f"Plot in {shown(str(plot))}", highlight=False)
+
+
+COMPARED = (
+    "moved: second minus first, pointing about the camera's axes; sigma: of one such solution; "
+    "sigmas: of all axes of it together, with their correlations"
+)
 
 
 def _print_comparison(console: Console, found: Comparison) -> None:

@@ -66,6 +66,20 @@ def test_what_moved_is_found(nights):
     assert list(found.table(above=1e9)["image"]) == []
 
 
+def test_other_options_are_told(tmp_path, make_run):
+    def other_options(result, *_):
+        result["provenance"]["settings"]["max_stars"] = 6
+        result["pointing"]["model"] = "image_plane"
+
+    for name, edit in (("one", lambda *_: None), ("two", other_options)):
+        make_run(tmp_path / name / "p1", 1, edit=edit)
+        with Campaign(tmp_path / name / "campaign.sqlite") as campaign:
+            campaign.ingest(tmp_path / name)
+    with Campaign(tmp_path / "one") as one, Campaign(tmp_path / "two") as two:
+        made_with = {what: now for what, _, now in compare(one, two).made_with}
+    assert made_with == {"setting max_stars": "6", "pointing model": "image_plane"}
+
+
 def test_nothing_in_common_is_said(tmp_path, nights, make_run):
     make_run(tmp_path / "three" / "p9", 9)
     with Campaign(tmp_path / "three") as three, Campaign(nights[0]) as one:
