@@ -159,8 +159,8 @@ def query_solutions(connection: sa.Connection) -> dict[str, dict[str, Any]]:
     -------
     mapping of str to dict
         ``image, et, status, quaternion, covariance, model, version, catalog, attitude_source, observer_source, kernels,
-        settings`` and ``bodies``: by "BODY, method" their ``status``, ``residual`` (pixel, line; None where not measured) and
-        its ``covariance``.
+        settings`` and ``bodies``: by "BODY, method" their ``status``, ``residual`` (pixel, line; None where not measured)
+        and its ``covariance``.
     """
     images, pointings, made = tables["images"], tables["pointings"], tables["provenance"]
     query = sa.select(
