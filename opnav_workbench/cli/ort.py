@@ -6,6 +6,7 @@ score  writes down what was delivered, opens the truth, and holds the one agains
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,11 +20,13 @@ from opnav_workbench.cli.process import Reporter
 from opnav_workbench.cli.processing_options import processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, picture_progress, plain_table, shown
 from opnav_workbench.constants import DAY_S
-from opnav_workbench.errors import MissionError
+from opnav_workbench.errors import EstimationError, MissionError
+from opnav_workbench.estimation import Acceleration, CenterBias, Pointing
 from opnav_workbench.files import write_json, write_text
 from opnav_workbench.headless.rehearsal_run import package_processing, process_package
 from opnav_workbench.processing import Processing
 from opnav_workbench.processing.model import shape_file
+from opnav_workbench.rehearsal.filtering import FilterOptions
 from opnav_workbench.rehearsal.making import new_rehearsal
 from opnav_workbench.rehearsal.orbit.scoring import OrbitScore
 from opnav_workbench.rehearsal.orbit.solution import OrbitSolution, solve_orbit_rehearsal
@@ -49,6 +52,9 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
     table = plain_table(
         "Estimated, true minus predicted", ("quantity",), ("value", "sigma", "before", "unit")
     )
+    if solution.filter:
+        allowed = "; ".join(solution.filter["allowed_for"]) or "nothing beside the batch's parameters"
+        console.print(f"By the filter, which allows for {shown(allowed)}", highlight=False, soft_wrap=True)
     rows = zip(
         solution.labels,
         solution.correction,
@@ -72,6 +78,8 @@ def print_solution(console: Console, solution: OrtSolution) -> None:
     console.print(table)
     if solution.history:
         console.print(_history_table(solution))
+    if solution.filter:
+        console.print(_passing_table(solution))
     console.print(
         f"chi-squared {solution.chi2_after:.1f} for {solution.degrees_of_freedom} degrees of freedom, probability "
         f"{solution.probability:.2g}",
@@ -130,6 +138,22 @@ def _history_table(solution: OrtSolution) -> Table:
         cells = [_number(value) for pair in zip(shift, sigma, strict=True) for value in pair]
         table.add_row(shown(str(row["picture"])), str(row["pictures"]), *cells)
     return table
+
+
+def _passing_table(solution: OrtSolution) -> Table:
+    """Return O-C of centers on their way through the filter: by the pictures before, and by all."""
+    names = ("by those before", "off by σ", "by all", "off by σ")
+    table = plain_table("Through the filter, O−C in px", ("picture", "body"), names)
+    for row in solution.residuals:
+        if row["kind"] == "center":
+            left = "" if row["used"] else " (left out)"
+            values = (row["predicted"], [row["predicted_sigmas"]], row["after"], [row["sigmas"]])
+            table.add_row(shown(Path(row["image"]).stem), shown(row["body"]) + left, *map(_residual, values))
+    return table
+
+
+def _residual(values: Sequence[float | None]) -> str:
+    return ", ".join("–" if v is None else f"{v:.2f}" for v in values)
 
 
 def print_score(console: Console, score: OrtScore) -> None:
@@ -272,6 +296,30 @@ def solve(
             help="Pixels added (in squares) to the sigmas of disks, for centers that say nothing of unknown surfaces.",
         ),
     ] = 0.0,
+    filter_: Annotated[
+        bool, typer.Option("--filter", help="Estimate in the square-root filter instead of in one batch.")
+    ] = False,
+    acceleration: Annotated[
+        str | None,
+        typer.Option(
+            help="Stochastic, of the spacecraft: km/s^2, and the days that it lasts.", metavar="SIGMA:DAYS"
+        ),
+    ] = None,
+    pointing: Annotated[
+        str | None,
+        typer.Option(help="Of attitudes beyond their covariance, arcsec.", metavar="SIGMA[:DAYS]"),
+    ] = None,
+    bias: Annotated[
+        str | None,
+        typer.Option(help="Of centers beyond their covariance, px.", metavar="SIGMA[:DAYS]"),
+    ] = None,
+    consider: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Not solved for, but in the covariance: a parameter, gm=SIGMA or focal_length=SIGMA.",
+            metavar="NAME[=SIGMA]",
+        ),
+    ] = None,
 ) -> None:
     """Process every picture of a rehearsal blind, and estimate what its briefing asks for.
 
@@ -281,13 +329,24 @@ def solve(
 
       opnav ort solve ort_1 --out run_1 --only-estimate
 
+      opnav ort solve ort_1 --out run_1 --only-estimate --acceleration 1e-12:5 --consider gm=0.5
+
     Writes RUN/<picture>/ as opnav process does, RUN/solution.json and RUN/solution.html.
     A picture that is lost is a named failure, not a stop.
 
     Run again, it keeps what has a result: an analyst may do any picture over in between
     (opnav lab with --out RUN), and the estimate is made anew.
+
+    With --filter, or anything that it allows for, a square-root information filter and smoother takes the batch's
+    place: the same pictures, the same solution.json, with residuals on their way through the filter. DAYS: how long
+    noise remembers; without, each picture has its own; inf, all have the same.
     """
     package = open_rehearsal(folder)
+    options = _filter_options(filter_, acceleration, pointing, bias, consider or ())
+    if options is not None and package.orbit is not None:
+        raise EstimationError(
+            "the filter is for flybys: a rehearsal in orbit is solved in one batch; leave its options out."
+        )
     if not only_estimate:
         _process_pictures(package, with_options(package_processing(package), given), out, jobs, again)
     console = Console(soft_wrap=False)
@@ -297,7 +356,7 @@ def solve(
         write_text(out / SOLUTION_PAGE_FILE, report.orbit_solution_page(in_orbit, package.title))
         print_orbit_solution(console, in_orbit)
     else:
-        solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma, history=True)
+        solution = solve_rehearsal(package, out, disk_sigma_px=disk_sigma, history=True, filtered=options)
         solution.write(out / SOLUTION_FILE)
         write_text(out / SOLUTION_PAGE_FILE, report.solution_page(solution, package.title))
         print_solution(console, solution)
@@ -306,6 +365,45 @@ def solve(
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _filter_options(
+    asked: bool, acceleration: str | None, pointing: str | None, bias: str | None, consider: Sequence[str]
+) -> FilterOptions | None:
+    """Return what the filter allows for; None where nobody asked for it."""
+    given = (acceleration, pointing, bias)
+    if not asked and not consider and given == (None, None, None):
+        return None
+    considered = dict(word.split("=", 1) if "=" in word else (word, None) for word in consider)
+    sigmas = {name: None if s is None else _float(f"--consider {name}", s) for name, s in considered.items()}
+    if acceleration is not None and ":" not in acceleration:
+        raise EstimationError(
+            f"--acceleration {acceleration}: say for how many days it lasts as well, such as {acceleration}:5."
+        )
+    pushed, turned, moved = (
+        None if words is None else _sigma_and_time(name, words)
+        for name, words in zip(("--acceleration", "--pointing", "--bias"), given, strict=True)
+    )
+    arcsec = float(np.radians(1.0 / 3600.0))
+    return FilterOptions(
+        acceleration=None if pushed is None else Acceleration(*pushed),
+        pointing=None if turned is None else Pointing(arcsec * turned[0], turned[1]),
+        bias=None if moved is None else CenterBias(*moved),
+        consider=sigmas,
+    )
+
+
+def _sigma_and_time(option: str, words: str) -> tuple[float, float]:
+    """Read SIGMA[:DAYS]; the time in seconds."""
+    sigma, _, days = words.partition(":")
+    return _float(option, sigma), _float(option, days or "0") * DAY_S
+
+
+def _float(option: str, words: str) -> float:
+    try:
+        return float(words)
+    except ValueError:
+        raise EstimationError(f"{option}: {words!r} is no number; see opnav ort solve --help.") from None
 
 
 def _process_pictures(package: OrtPackage, how: Processing, out: Path, jobs: int | None, again: bool) -> None:

@@ -13,16 +13,17 @@ mean over the shares, its covariance that within them and between them.
 Reference: Hoeting et al. (1999), Statistical Science 14, 382, doi:10.1214/ss/1009212519 (model averaging).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.estimation.batch import REJECT_SIGMAS, Estimate, estimate
+from opnav_workbench.estimation.batch import REJECT_SIGMAS, Estimate, Residual, estimate
 from opnav_workbench.estimation.measurements import Dynamics, measurements_of
 from opnav_workbench.estimation.parameters import APriori, parameter_count, relative_state
-from opnav_workbench.estimation.sequential import FilterEstimate, filter_estimate
+from opnav_workbench.estimation.sequential import FilterEstimate, FilterResidual, filter_estimate
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.estimation.stochastic import ModelParameter
 from opnav_workbench.observables import Observable, joint_covariance_px2
@@ -40,6 +41,8 @@ class CommonErrorEstimate:
     ----------
     independent
         The batch's estimate as if no error were common: outliers, fit, and what the pictures determine.
+    filtered
+        The filter's as if no error were common, where one was asked for; the batch is of what it uses.
     correction, covariance : (n,), (n, n) arrays
         Of the batch's parameters.
     after : (k,) arrays
@@ -49,6 +52,7 @@ class CommonErrorEstimate:
     """
 
     independent: Estimate
+    filtered: FilterEstimate | None
     correction: FloatArray
     covariance: FloatArray
     after: tuple[FloatArray, ...]
@@ -79,6 +83,7 @@ def estimate_with_common_errors(
     spacecraft_transition: Transition = straight_line,
     statuses: Sequence[str] = ("ok",),
     reject_sigmas: float = REJECT_SIGMAS,
+    filter_options: Mapping[str, Any] | None = None,
 ) -> CommonErrorEstimate:
     """Estimate corrections of states from centers whose errors beyond noise may be common.
 
@@ -90,46 +95,59 @@ def estimate_with_common_errors(
         Of each center, that of the noise alone (``noise_covariance_px2`` of ``result.json``); None: all of its own.
     parameters, epoch_et, a_priori, target_transition, spacecraft_transition, statuses, reject_sigmas
         As in `estimate`.
+    filter_options
+        Further options of `filter_estimate` (``accelerations``, ``consider`` and so on): the filter takes the batch's place.
+        None: the batch.
 
     Raises
     ------
     EstimationError
-        See `estimate`.
+        See `estimate` and `filter_estimate`.
     """
-    independent = estimate(
-        observables,
-        parameters,
-        epoch_et=epoch_et,
-        a_priori=a_priori,
-        target_transition=target_transition,
-        spacecraft_transition=spacecraft_transition,
-        statuses=statuses,
-        reject_sigmas=reject_sigmas,
-    )
-    dynamics = Dynamics(independent.epoch_et, target_transition, spacecraft_transition)
-    kept, roots = _kept(observables, noise_covariances_px2, independent)
+    asked: dict[str, Any] = {
+        "a_priori": a_priori,
+        "target_transition": target_transition,
+        "spacecraft_transition": spacecraft_transition,
+    }
+    sure: dict[str, Any] = asked | {
+        "epoch_et": epoch_et,
+        "statuses": statuses,
+        "reject_sigmas": reject_sigmas,
+    }
+    filtered: FilterEstimate | None = None
+    if filter_options is None:
+        independent = estimate(observables, parameters, **sure)
+        kept, roots = _kept(observables, noise_covariances_px2, independent.residuals)
+    else:
+        filtered = filter_estimate(observables, parameters, **sure, **filter_options)
+        kept, roots = _kept(observables, noise_covariances_px2, filtered.residuals)
+        independent = estimate(kept, parameters, epoch_et=filtered.epoch_et, reject_sigmas=np.inf, **asked)
+    options = dict(filter_options or {})
+    model = tuple(options.pop("model", ()))
     solved = []
     for share in SHARES:
         shared = [_with_own_errors(o, root, float(share)) for o, root in zip(kept, roots, strict=True)]
         found = filter_estimate(
             shared,
             parameters,
-            epoch_et=dynamics.epoch_et,
-            a_priori=a_priori,
-            target_transition=target_transition,
-            spacecraft_transition=spacecraft_transition,
-            model=_common_errors(shared, roots, float(share)),
+            epoch_et=independent.epoch_et,
+            model=(*model, *_common_errors(shared, roots, float(share))),
             reject_sigmas=np.inf,
+            **asked,
+            **options,
         )
         solved.append((found, _minus_two_log_likelihood(found, shared)))
-    return _averaged(observables, independent, dynamics, solved)
+    dynamics = Dynamics(independent.epoch_et, target_transition, spacecraft_transition)
+    return _averaged(observables, independent, filtered, dynamics, solved)
 
 
 def _kept(
-    observables: Sequence[Observable], noise: Sequence[FloatArray | None], independent: Estimate
+    observables: Sequence[Observable],
+    noise: Sequence[FloatArray | None],
+    residuals: Sequence[Residual] | Sequence[FilterResidual],
 ) -> tuple[list[Observable], list[FloatArray]]:
-    """Return what the batch used, and the root (2, 2) px of each center's covariance beyond noise, about east and north."""
-    used = {(r.image, r.body, r.kind) for r in independent.residuals if r.used}
+    """Return what was used, and the root (2, 2) px of each center's covariance beyond noise, about east and north."""
+    used = {(r.image, r.body, r.kind) for r in residuals if r.used}
     kept, roots = [], []
     for o, of_noise in zip(observables, noise, strict=True):
         if (o.image, o.name, "center") not in used:
@@ -178,16 +196,18 @@ def _common_errors(
 
 
 def _minus_two_log_likelihood(found: FilterEstimate, observables: Sequence[Observable]) -> float:
-    """Of the measurements, the parameters integrated over; but for what all shares have in common."""
-    of_noise = np.linalg.slogdet(joint_covariance_px2(observables))[1]
-    sigma = found.sigma
-    of_states = np.linalg.slogdet(found.covariance / np.outer(sigma, sigma))[1] + 2.0 * np.log(sigma).sum()
-    return float(found.chi2 + of_noise - of_states)
+    """Of the measurements, parameters and noises integrated over; but for what all shares have in common.
+
+    Considered parameters count as what they are believed to be.
+    """
+    of_measurements = np.linalg.slogdet(joint_covariance_px2(observables))[1]
+    return float(found.chi2 + of_measurements + found.log_information)
 
 
 def _averaged(
     observables: Sequence[Observable],
     independent: Estimate,
+    filtered: FilterEstimate | None,
     dynamics: Dynamics,
     solved: Sequence[tuple[FilterEstimate, float]],
 ) -> CommonErrorEstimate:
@@ -201,6 +221,7 @@ def _averaged(
     between = (corrections - mean).T @ (weights[:, None] * (corrections - mean))
     return CommonErrorEstimate(
         independent=independent,
+        filtered=filtered,
         correction=mean,
         covariance=symmetric(within + between),
         after=_residuals(observables, independent, dynamics, mean),

@@ -189,6 +189,9 @@ class FilterEstimate:
         What was left out and taken in again.
     chi2
         Of the used measurements, a priori knowledge and noise, all pictures.
+    log_information
+        Logarithm of the determinant of the joint information on all solved states and noises: with `chi2` and the covariance
+        of the measurements it makes their likelihood.
     iterations
         Passes of filter and smoother, over all edits.
     """
@@ -207,6 +210,7 @@ class FilterEstimate:
     edits: tuple[Edit, ...]
     left_out: tuple[str, ...]
     chi2: float
+    log_information: float
     degrees_of_freedom: int
     probability: float
     iterations: int
@@ -602,6 +606,7 @@ class _Pass:
     after: tuple[Information, ...]
     smoothed: tuple[Smoothed, ...]
     end: Information
+    log_information: float
 
 
 def _full(layout: _Layout, solved: FloatArray) -> FloatArray:
@@ -631,7 +636,8 @@ def _one_pass(problem: _Problem, references: Sequence[FloatArray]) -> _Pass:
         for row in reversed(rows):
             state = smooth(state, row)
         smoothed.append(state)
-    return _Pass(tuple(before), tuple(after), tuple(reversed(smoothed)), end)
+    of_noises = sum(row.log_information for rows in (*kept, last) for row in rows)
+    return _Pass(tuple(before), tuple(after), tuple(reversed(smoothed)), end, end.log_information + of_noises)
 
 
 def _through(known: Information, steps: Sequence[Step]) -> tuple[Information, list[StepRows]]:
@@ -905,6 +911,7 @@ def _result(
         edits=tuple(problem.edits),
         left_out=left_out,
         chi2=chi2,
+        log_information=found.log_information,
         degrees_of_freedom=freedom,
         probability=float(chdtrc(freedom, chi2)) if freedom > 0 else float("nan"),
         iterations=iterations,

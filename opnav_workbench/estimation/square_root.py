@@ -84,6 +84,11 @@ class Information:
         self._require_determined()
         return np.asarray(solve_triangular(self.r, self.z))
 
+    @property
+    def log_information(self) -> float:
+        """Logarithm of the determinant of the state's information matrix."""
+        return _log_square(self.r)
+
     def covariance_root(self) -> FloatArray:
         """Return S (n, n), covariance = S S'; considered parameters not included.
 
@@ -133,6 +138,15 @@ class StepRows:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def log_information(self) -> float:
+        """Logarithm of the determinant of what is known of u, the next state given."""
+        return _log_square(self.r_u)
+
+
+def _log_square(triangle: FloatArray) -> float:
+    return float(2.0 * np.log(np.abs(np.diag(triangle))).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

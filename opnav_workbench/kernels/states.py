@@ -321,4 +321,4 @@ def two_body_state(values: FloatArray, gm_km3_s2: float, time_s: float) -> Float
     [0.0, 7000.0, 0.0]
     """
     with spice_call("two-body motion"):
-        return np.asarray(spiceypy.prop2b(gm_km3_s2, values, time_s), np.float64)
+        return np.asarray(spiceypy.prop2b(gm_km3_s2, np.array(values, np.float64), time_s), np.float64)

@@ -445,7 +445,7 @@ class OrtScenario(ScenarioFile):
         if lost is not None:
             names = {picture.name for picture in kept}
             lost["spare"] = tuple(name for name in lost["spare"] if name in names)
-            room = max(0, (len(kept) - 1) // 2)
+            room = max(0, min((len(kept) - 1) // 2, len(kept) - len(lost["spare"])))
             lost["missing"] = min(lost["missing"], 1, room)
             lost["truncated"] = min(lost["truncated"], 1, room - lost["missing"])
         return {"perturbations": content}

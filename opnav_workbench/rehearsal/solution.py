@@ -19,6 +19,7 @@ from opnav_workbench.estimation import (
     BPlane,
     CommonErrorEstimate,
     Estimate,
+    FilterEstimate,
     b_plane,
     b_plane_partials,
     estimate_with_common_errors,
@@ -29,6 +30,7 @@ from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
 from opnav_workbench.observables import Observable
+from opnav_workbench.rehearsal.filtering import FilterOptions, filter_residual_row, filter_rows
 from opnav_workbench.rehearsal.results import (
     PictureResult,
     chosen_observables,
@@ -65,7 +67,7 @@ ARRAY_SHAPES: dict[str, tuple[int | str, ...]] = {
 COVARIANCES = ("covariance", "b_plane_covariance")
 NUMBER_FIELDS = ("chi2_before", "chi2_after", "probability")
 TEXT_FIELDS = ("words", "left_out", "messages")
-OPTIONAL_FIELDS = ("residuals", "pictures", "made_by", *TEXT_FIELDS)
+OPTIONAL_FIELDS = ("residuals", "pictures", "filter", "made_by", *TEXT_FIELDS)
 
 
 def checked_numbers(content: Any, what: str, name: str = "") -> None:
@@ -216,6 +218,11 @@ class PredictedFlyby:
         freeze_arrays(self)
 
     @property
+    def encounter_et(self) -> float:
+        """Return the predicted linearised time of arrival, TDB seconds past J2000."""
+        return self.epoch_et + float(self.b_plane_values[2])
+
+    @property
     def b_plane_values(self) -> FloatArray:
         """Return (B.T, B.R, linearised time after the epoch), km and s."""
         return self.plane.in_axes_of(self.plane)
@@ -293,7 +300,8 @@ class OrtSolution:
     chi2_before, chi2_after, probability
         Of the measurements' fit.
     residuals
-        ``image, body, kind, et, before, after, covariance, sigmas, used, reason`` of every measurement.
+        ``image, body, kind, et, before, after, covariance, sigmas, used, reason`` of every measurement; of a filter, where
+        ``after`` is smoothed, ``predicted`` and ``predicted_sigmas`` before it took the picture in as well.
     words
         What the pictures determine, best first.
     pictures
@@ -305,6 +313,9 @@ class OrtSolution:
     history
         The flyby by time of data cutoff, in order of time: ``picture, et, pictures, b_plane, covariance``; the last picture
         counted, its time, how many are counted, B.T, B.R (km) and time of flight (s), and their covariance.
+    filter
+        Of a solution by the filter: what it allowed for, names and units of its parameters, a row a picture with what was
+        predicted, filtered and smoothed of them, and its edits. Empty: by the batch.
     """
 
     package: str
@@ -331,6 +342,7 @@ class OrtSolution:
     disk_sigma_px: float = 0.0
     common_share: float = 0.0
     history: tuple[Mapping[str, Any], ...] = ()
+    filter: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -388,7 +400,12 @@ class OrtSolution:
 
 
 def solve_rehearsal(
-    package: "OrtPackage", results: str | Path, *, disk_sigma_px: float = 0.0, history: bool = False
+    package: "OrtPackage",
+    results: str | Path,
+    *,
+    disk_sigma_px: float = 0.0,
+    history: bool = False,
+    filtered: FilterOptions | None = None,
 ) -> OrtSolution:
     """Estimate a package's parameters from what a team found in its pictures.
 
@@ -400,6 +417,8 @@ def solve_rehearsal(
         Added (in squares) to the sigmas of the centers of disks, for surfaces of which a centerfinder says nothing.
     history
         Solve after every picture as well (of many, after a dozen of them), for the flyby by time of data cutoff.
+    filtered
+        Solve picture by picture in the square-root filter, with what it allows for; None: in one batch.
 
     Raises
     ------
@@ -412,8 +431,10 @@ def solve_rehearsal(
     observables, left_out = chosen_observables(pictures, disk_sigma_px)
     flyby = predicted_flyby(package)
     noise = noise_covariances_px2(pictures, observables)
-    common = _solved(package, flyby, observables, noise)
+    options = None if filtered is None else filtered.keywords(package, flyby.state, flyby.encounter_et)
+    common = _solved(package, flyby, observables, noise, options)
     found = common.independent
+    fit = found if common.filtered is None else common.filtered
     after, after_covariance = common.relative_state(flyby.body)
     before_covariance = _a_priori_covariance(found)
     relative = relative_state_matrix(found.groups, len(found.correction), flyby.body)
@@ -430,17 +451,18 @@ def solve_rehearsal(
         b_plane_covariance_before=flyby.covariance(np.zeros(6), relative @ before_covariance @ relative.T),
         b_plane_covariance=flyby.covariance(after, after_covariance),
         chi2_before=found.chi2_before,
-        chi2_after=found.chi2_after,
-        degrees_of_freedom=found.degrees_of_freedom,
-        probability=found.probability,
+        chi2_after=found.chi2_after if common.filtered is None else common.filtered.chi2,
+        degrees_of_freedom=fit.degrees_of_freedom,
+        probability=fit.probability,
         residuals=_residual_rows(common),
         words=tuple(d.words for d in found.directions),
         left_out=left_out,
-        messages=(*_camera_message(pictures), *_messages(found)),
+        messages=(*_camera_message(pictures), *_messages(fit)),
         pictures={p.name: p.sha256 for p in pictures if p.sha256},
         disk_sigma_px=disk_sigma_px,
         common_share=common.share,
-        history=_history(package, flyby, observables, noise) if history else (),
+        history=_history(package, flyby, observables, noise, options) if history else (),
+        filter={} if filtered is None or common.filtered is None else filter_rows(common.filtered, filtered),
     )
 
 
@@ -449,6 +471,7 @@ def _solved(
     flyby: PredictedFlyby,
     observables: Sequence[Observable],
     noise: Sequence[FloatArray | None],
+    options: Mapping[str, Any] | None,
 ) -> CommonErrorEstimate:
     return estimate_with_common_errors(
         observables,
@@ -458,6 +481,7 @@ def _solved(
         a_priori=dict(package.parameters),
         target_transition=straight_line,
         spacecraft_transition=straight_line,
+        filter_options=options,
     )
 
 
@@ -466,6 +490,7 @@ def _history(
     flyby: PredictedFlyby,
     observables: Sequence[Observable],
     noise: Sequence[FloatArray | None],
+    options: Mapping[str, Any] | None,
 ) -> tuple[dict[str, Any], ...]:
     """Return the flyby as known after each picture; after those that contradict each other there is none."""
     times = sorted({(o.et, o.image) for o in observables})
@@ -474,7 +499,7 @@ def _history(
     for last in chosen.tolist():
         so_far = [(o, n) for o, n in zip(observables, noise, strict=True) if (o.et, o.image) <= times[last]]
         try:
-            found = _solved(package, flyby, [o for o, _ in so_far], [n for _, n in so_far])
+            found = _solved(package, flyby, [o for o, _ in so_far], [n for _, n in so_far], options)
         except EstimationError:
             continue
         after, covariance = found.relative_state(flyby.body)
@@ -496,6 +521,8 @@ def _a_priori_covariance(found: Estimate) -> FloatArray:
 
 
 def _residual_rows(common: CommonErrorEstimate) -> tuple[dict[str, Any], ...]:
+    if common.filtered is not None:
+        return tuple(filter_residual_row(r) for r in common.filtered.residuals)
     return tuple(
         {name: getattr(r, name) for name in r.__slots__} | {"after": after}
         for r, after in zip(common.independent.residuals, common.after, strict=True)
@@ -515,16 +542,17 @@ def _camera_message(pictures: Sequence[PictureResult]) -> tuple[str, ...]:
     return (words,)
 
 
-def _messages(found: Estimate) -> tuple[str, ...]:
+def _messages(found: Estimate | FilterEstimate) -> tuple[str, ...]:
     messages = list(found.messages)
+    chi2 = found.chi2 if isinstance(found, FilterEstimate) else found.chi2_after
     if found.probability < LEAST_PROBABILITY:
         messages.append(
-            f"chi-squared {found.chi2_after:.1f} for {found.degrees_of_freedom} degrees of freedom (probability "
+            f"chi-squared {chi2:.1f} for {found.degrees_of_freedom} degrees of freedom (probability "
             f"{found.probability:.1g}): the centers' sigmas are too small, or something is wrong that is not estimated"
         )
     if found.probability > 1.0 - LEAST_PROBABILITY:
         messages.append(
-            f"chi-squared {found.chi2_after:.1f} for {found.degrees_of_freedom} degrees of freedom: the centers agree "
+            f"chi-squared {chi2:.1f} for {found.degrees_of_freedom} degrees of freedom: the centers agree "
             "better than their sigmas say; these surfaces may be kinder than what is allowed for"
         )
     messages += [

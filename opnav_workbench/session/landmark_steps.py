@@ -170,9 +170,24 @@ def judged(context: Context, inputs: Inputs, state: SessionState) -> SessionStat
         known = _known(context, state, target, centers.position_sigma_km)
         judged = judge_landmarks(centers, landmarks, known, decisions)
         solutions.append(judged)
-        said = judged.messages if judged.pose is None else ()
-        state = state.with_notes(f"landmarks of {body}", *said)
+        state = state.with_notes(f"landmarks of {body}", *_notes(judged, state))
     return state.replace(landmarks=tuple(solutions))
+
+
+def _notes(judged: LandmarkSolution, state: SessionState) -> tuple[str, ...]:
+    """What a picture's messages say of a body's landmarks: why they give no pose, or that only they give one."""
+    body = judged.centers.body
+    if not len(judged.centers):
+        unseen = "; ".join(f"{count} {why}" for why, count in judged.centers.not_searched.items())
+        return (f"no landmark of {body} is looked for" + (f": {unseen}" if unseen else ""),)
+    if judged.pose is None:
+        return judged.messages
+    if state.pointing is not None:
+        return ()
+    count, body = judged.pose.n_landmarks, judged.centers.body
+    return (
+        f"no stars tell the pointing; {count} landmarks of {body} do, with the place (pose of its landmarks)",
+    )
 
 
 def accept_landmarks(

@@ -194,11 +194,12 @@ def overall_status(
     """Return ``ok``, ``partial`` or ``failed``; the state's messages say what is missing.
 
     ``ok`` is a sure pointing, its twist solved, with every target that was looked for either found for sure by one method
-    at least, or outside the field, where there is nothing to find. Without any attitude (`is_without_sky`), what is
-    measured in the picture is a part.
+    at least, or outside the field, where there is nothing to find. Landmarks that agree on a pose are a part of it, and so,
+    without any attitude (`is_without_sky`), is what is measured in the picture.
     """
     if state.pointing is None:
-        return "partial" if without_sky and any(o.observed_px is not None for o in observables) else "failed"
+        measured = without_sky and any(o.observed_px is not None for o in observables)
+        return "partial" if measured or any(one.pose is not None for one in state.landmarks) else "failed"
     told = {o.name: [p for p in observables if p.name == o.name] for o in observables}
     found = not state.skipped_targets and all(_found_or_outside(camera, of_one) for of_one in told.values())
     complete = found and state.pointing.twist_solved and not pointing_doubt(state)

@@ -1,9 +1,11 @@
 """Errors of centers that pictures have in common: what the measurements say of the share, and sigmas that hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from opnav_workbench.estimation import estimate, estimate_with_common_errors
+from opnav_workbench.estimation import Acceleration, Pointing, estimate, estimate_with_common_errors
 
 DAYS = np.linspace(8.0, 3.0, 6)
 NOISE = 0.01**2 * np.eye(2)
@@ -69,6 +71,49 @@ def test_outliers_are_those_of_the_batch(pictures, displaced):
         [o for k, o in enumerate(drawn) if k != 7], [NOISE] * (len(drawn) - 1), **options
     )
     np.testing.assert_allclose(found.correction, rest.correction, rtol=1e-9)
+
+
+def test_filter_in_the_batchs_place(approach, pictures, displaced):
+    """Without noise it is the batch; noise of pointing that each picture has for itself is that of its attitude.
+
+    The likelihood of the shares has to count the noise: with pointing as bad as centers it tells them another tale.
+    """
+    asked = {"parameters": ["target_position"], "a_priori": {"target_position": 5000.0}}
+    drawn = spoiled(pictures, displaced, np.random.default_rng(5), 0.5)
+    noise = [NOISE] * len(drawn)
+    batch = estimate_with_common_errors(drawn, noise, **asked)
+    passed = estimate_with_common_errors(drawn, noise, filter_options={}, **asked)
+    _same(passed, batch)
+    assert batch.filtered is None
+    worse = [
+        replace(new, observed_px=o.observed_px, residual_px=o.residual_px, ra_deg=o.ra_deg, dec_deg=o.dec_deg)
+        for o, new in zip(drawn, approach(pointing_sigma_px=0.1).observables(DAYS), strict=True)
+    ]
+    of_scale = approach().camera.pixel_scale_rad
+    extra = Pointing(tuple(np.array([1.0, 1.0, 1e-9]) * of_scale * np.sqrt(0.1**2 - 0.01**2)))
+    turning = estimate_with_common_errors(drawn, noise, filter_options={"pointing": extra}, **asked)
+    _same(turning, estimate_with_common_errors(worse, noise, **asked))
+    assert np.abs(turning.weights - batch.weights).max() > 0.02
+
+
+def _same(one, other):
+    assert np.abs((one.correction - other.correction) / np.sqrt(np.diag(other.covariance))).max() < 1e-6
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(one.weights, other.weights, rtol=1e-5)
+
+
+def test_pushed_spacecraft_is_known_less(pictures, displaced):
+    drawn = spoiled(pictures, displaced, np.random.default_rng(6), 0.5)
+    names = ("spacecraft_position", "spacecraft_velocity")
+    asked = {"parameters": names, "a_priori": dict(zip(names, (5000.0, 0.01), strict=True))}
+    quiet, pushed = (
+        estimate_with_common_errors(drawn, [NOISE] * len(drawn), filter_options=options, **asked)
+        for options in ({}, {"accelerations": (Acceleration(1e-9, 86400.0),)})
+    )
+    assert (np.diag(pushed.covariance) > 1.05 * np.diag(quiet.covariance))[:3].any()
+    assert len(pushed.correction) == 6
+    assert pushed.independent.correction.shape == (6,)
+    assert len(pushed.filtered.labels) == 9
 
 
 @pytest.mark.slow
