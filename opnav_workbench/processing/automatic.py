@@ -141,7 +141,10 @@ def _steps(session: ImageSession, opened: OpenedProcessing) -> Iterator[tuple[st
 
 
 def find_targets(session: ImageSession, opened: OpenedProcessing) -> None:
-    """Find the targets of a session, the largest first, and compute the observables."""
+    """Find the targets of a session with a new pointing, the largest first, and compute the observables.
+
+    Landmarks that agree on a pose stay: they were drawn from that pose, and are judged with the new pointing already.
+    """
     for _, step in _target_steps(session, opened, session.state.targets):
         step()
 
@@ -153,7 +156,8 @@ def _target_steps(
         if _fills_picture(session, opened, name):
             continue
         yield f"finding {name}", lambda name=name: _find_target(session, opened, name)  # type: ignore[misc]
-    for name in _with_landmarks(session, opened, targets):
+    posed = {one.centers.body for one in session.state.landmarks if one.pose is not None}
+    for name in (n for n in _with_landmarks(session, opened, targets) if n not in posed):
         yield f"finding landmarks of {name}", lambda name=name: _find_landmarks(session, opened, name)  # type: ignore[misc]
     yield "computing observables", session.compute_observables
 

@@ -30,7 +30,7 @@ from opnav_workbench.session.state import SessionState
 from opnav_workbench.session.storage import SESSION_FILE, SessionOnDisk, session_on_disk
 from opnav_workbench.version import __version__
 
-__all__ = ["STATE_FILE", "Autosave", "read_state", "start_autosave"]
+__all__ = ["STATE_FILE", "Autosave", "read_state", "start_autosave", "write_state"]
 
 
 # ---- The kept state.

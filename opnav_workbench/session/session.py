@@ -32,7 +32,7 @@ from opnav_workbench.paths import exists
 from opnav_workbench.scene import BodyPrediction, StarPrediction, predict_body
 from opnav_workbench.session import inputs as input_values
 from opnav_workbench.session import storage
-from opnav_workbench.session.autosave import Autosave, read_state, start_autosave
+from opnav_workbench.session.autosave import Autosave, read_state, start_autosave, write_state
 from opnav_workbench.session.context import Context, open_context
 from opnav_workbench.session.decisions import Decisions, load_decisions, write_decisions
 from opnav_workbench.session.folder_lock import FolderLock
@@ -65,6 +65,8 @@ else:  # a picture of stars needs nothing that finds bodies or writes kernels
 __all__ = ["ImageSession"]
 
 ID_DIGITS = 16
+# Steps that took longer have their state saved with them: stars and disks are soon found again, landmarks are not.
+SAVE_KEEPS_AFTER_S = 5.0
 PLACE_NUMBERS, CIRCLE_NUMBERS = 2, 3
 
 
@@ -127,6 +129,7 @@ class ImageSession:
         self.source: Final = source
         self._catalog = catalog
         self._history = History(context, inputs)
+        self._steps_s = 0.0  # what its steps took
         self._autosave: Autosave | None = None
         self._listeners: list[Callable[[Any], None]] = []
 
@@ -928,7 +931,8 @@ class ImageSession:
 
         Notes
         -----
-        Another session in the folder that holds an analyst's decisions is put away, and `put_away` says where.
+        Another session in the folder that holds an analyst's decisions is put away, and `put_away` says where. After steps
+        that took long the state is kept beside, so that `resume` need not take them again.
         """
         target = Path(folder)
         with self.lock:
@@ -940,6 +944,8 @@ class ImageSession:
                     self.put_away = storage.set_aside(target, self.id, self.standing)
                     self._write(target)
                     (target / JOURNAL_FILE).unlink(missing_ok=True)  # session.json holds the whole journal
+                    if self._steps_s > SAVE_KEEPS_AFTER_S:
+                        write_state(target, self.context.picture.sha256, self.standing, self.state)
         return target
 
     def _write(self, target: Path) -> None:
@@ -994,6 +1000,7 @@ class ImageSession:
         if self.checkpoint is not None:
             self.checkpoint()
         self._history.record(name, parameters, state, reason)
+        self._steps_s += cost_s
         self._save_and_notify(cost_s)
 
     def _save_and_notify(self, cost_s: float = 0.0) -> None:
