@@ -10,7 +10,6 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, Unknown
-from opnav_workbench.bodies.disk.marginal import FieldPrior
 from opnav_workbench.bodies.disk.measurement import (
     MeasuredDisk,
     crossing_covariance,
@@ -50,7 +49,6 @@ THIN_PHASE_RAD = np.radians(130.0)
 THIN_PX = 1.0  # widest part of a crescent: below, the sampled model holds its light to a few percent only
 BRIGHT_SHARE = 0.1
 LEAST_LIT = 0.1  # of a turn of limb that the picture must show
-NOISE_ALONE = FieldPrior(1e-4, 0.4, 1e-5, 1e-4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,7 +165,7 @@ def _apart(second: SecondReading, center_px: FloatArray) -> str:
 def disk_reading(disk: MeasuredDisk, method: str, second: SecondReading | None) -> CenterReading:
     """Return the likelihood's own center."""
     fit = disk.fit
-    noise = fit.system.solve(NOISE_ALONE).covariance[np.ix_(CENTER, CENTER)]
+    noise = fit.system.noise_covariance(fit.prior)[np.ix_(CENTER, CENTER)]
     log_size, sigma = fit.shape.log_size, fit.sigma(Unknown.SIZE)
     return CenterReading(
         method,

@@ -1,14 +1,15 @@
-"""Errors of centers that all pictures have in common, beside those that each has for itself.
+"""Errors of centers that all pictures have in common, beside those that each has for itself; and how large both are.
 
 What a centerfinder cannot know of a surface (its scattering law, its size, how its light falls off toward the terminator) is
 much the same in every picture of an approach, and of its neighbors too; what it cannot know of a mottled one turns with the
-body. Both are in the covariance of a center beyond its noise, M = C - N, and nobody knows which share of it is common:
+body. Both are in the covariance of a center beyond its noise, M = C - N. Nobody knows which share s of it is common, and one
+picture cannot tell whether its surface is as kind, or as bad, as the covariance allows for: errors are z times as large.
 
-    error of a center = noise (N) + own error ((1 - s) M) + sqrt(s) M^(1/2) e,   e the same (east, north) for all, unit sigma
+    error of a center = noise (N) + z (own error ((1 - s) M) + sqrt(s) M^(1/2) e),   e (east, north) of all, unit sigma
 
 With s = 0 many pictures of one surface would seem to average an error that they share; with s = 1 they would seem to cancel
-it. The measurements tell: each share is given weight by the likelihood of all residuals under it, and the estimate is the
-mean over the shares, its covariance that within them and between them.
+it. The measurements tell: each share and size is given weight by the likelihood of all residuals under it, and the estimate
+is the mean over them, its covariance that within them and between them. Few pictures tell little, and leave z near 1.
 
 Reference: Hoeting et al. (1999), Statistical Science 14, 382, doi:10.1214/ss/1009212519 (model averaging).
 """
@@ -26,11 +27,15 @@ from opnav_workbench.estimation.parameters import APriori, parameter_count, rela
 from opnav_workbench.estimation.sequential import FilterEstimate, FilterResidual, filter_estimate
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.estimation.stochastic import ModelParameter
-from opnav_workbench.observables import Observable, joint_covariance_px2
+from opnav_workbench.observables import Observable
 
 __all__ = ["CommonErrorEstimate", "estimate_with_common_errors"]
 
-SHARES = np.arange(0.05, 1.0, 0.1)  # middles of ten equal parts: every share is as likely beforehand
+SHARES = np.arange(0.1, 1.0, 0.2)  # middles of equal parts: every share is as likely beforehand
+# Sizes of errors over what a centerfinder states, and how likely they are beforehand: normal in the logarithm, for sigmas of
+# what nobody has seen are believed to a factor of two.
+SIZES = 2.0 ** np.arange(-2.0, 2.5)
+SIZE_COSTS = np.arange(-2.0, 2.5) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,8 +52,11 @@ class CommonErrorEstimate:
         Of the batch's parameters.
     after : (k,) arrays
         Observed minus computed with this correction, of `independent.residuals`, px or km.
-    shares, weights : (m,) arrays
-        Of the errors beyond noise, what is common; and how likely the measurements make it.
+    shares, sizes, weights : (m,) arrays
+        Of the errors beyond noise, what is common; how large they are over what is stated; how likely the measurements make
+        that.
+    steps
+        Of a filter, the groups' parameters as known after each picture, ahead: image, et, correction and covariance.
     """
 
     independent: Estimate
@@ -57,7 +65,9 @@ class CommonErrorEstimate:
     covariance: FloatArray
     after: tuple[FloatArray, ...]
     shares: FloatArray
+    sizes: FloatArray
     weights: FloatArray
+    steps: tuple[tuple[str, float, FloatArray, FloatArray], ...] = ()
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -66,6 +76,11 @@ class CommonErrorEstimate:
     def share(self) -> float:
         """Return the expected share."""
         return float(self.shares @ self.weights)
+
+    @property
+    def size(self) -> float:
+        """Return the expected size, of its logarithm."""
+        return float(np.exp(np.log(self.sizes) @ self.weights))
 
     def relative_state(self, body: str = "") -> tuple[FloatArray, FloatArray]:
         """Return the correction (6,) of the spacecraft's state relative to a body, and its covariance (6, 6)."""
@@ -122,23 +137,25 @@ def estimate_with_common_errors(
         filtered = filter_estimate(observables, parameters, **sure, **filter_options)
         kept, roots = _kept(observables, noise_covariances_px2, filtered.residuals)
         independent = estimate(kept, parameters, epoch_et=filtered.epoch_et, reject_sigmas=np.inf, **asked)
-    options = dict(filter_options or {})
-    model = tuple(options.pop("model", ()))
-    solved = []
-    for share in SHARES:
-        shared = [_with_own_errors(o, root, float(share)) for o, root in zip(kept, roots, strict=True)]
-        found = filter_estimate(
-            shared,
-            parameters,
-            epoch_et=independent.epoch_et,
-            model=(*model, *_common_errors(shared, roots, float(share))),
-            reject_sigmas=np.inf,
-            **asked,
-            **options,
-        )
-        solved.append((found, _minus_two_log_likelihood(found, shared)))
     dynamics = Dynamics(independent.epoch_et, target_transition, spacecraft_transition)
-    return _averaged(observables, independent, filtered, dynamics, solved)
+    if filter_options is None:
+        mixed = _batches(kept, roots, independent, dynamics)
+    else:
+        mixed = _filters(
+            kept, roots, parameters, {"epoch_et": independent.epoch_et, **asked, **filter_options}
+        )
+    correction, covariance = mixed.moments()
+    return CommonErrorEstimate(
+        independent=independent,
+        filtered=filtered,
+        correction=correction,
+        covariance=covariance,
+        after=_residuals(observables, independent, dynamics, correction),
+        shares=SHARE_OF_EACH.copy(),
+        sizes=SIZE_OF_EACH.copy(),
+        weights=mixed.weights,
+        steps=mixed.steps,
+    )
 
 
 def _kept(
@@ -172,19 +189,124 @@ def _model_root(o: Observable, noise_px2: FloatArray | None) -> FloatArray:
     return np.asarray(turned @ (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _with_own_errors(o: Observable, root: FloatArray, share: float) -> Observable:
-    common = share * root @ root.T
+# ---- The same estimate under every share and size of errors beyond noise.
+
+SHARE_OF_EACH, SIZE_OF_EACH = (grid.ravel() for grid in np.meshgrid(SHARES, SIZES, indexing="ij"))
+COST_OF_EACH = np.tile(SIZE_COSTS, len(SHARES))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Mixture:
+    """Corrections (m, n) and covariances (m, n, n), each with minus twice the logarithm of its likelihood."""
+
+    corrections: FloatArray
+    covariances: FloatArray
+    costs: FloatArray
+    steps: tuple[tuple[str, float, FloatArray, FloatArray], ...] = ()
+
+    @property
+    def weights(self) -> FloatArray:
+        costs = self.costs + COST_OF_EACH
+        weights = np.exp(-0.5 * (costs - costs.min()))
+        return np.asarray(weights / weights.sum())
+
+    def moments(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (n,) and covariance (n, n), within the members and between them."""
+        weights = self.weights
+        mean = weights @ self.corrections
+        off = self.corrections - mean
+        within = np.einsum("k,kij->ij", weights, self.covariances)
+        return mean, symmetric(within + off.T @ (weights[:, None] * off))
+
+
+def _batches(
+    kept: Sequence[Observable], roots: Sequence[FloatArray], independent: Estimate, dynamics: Dynamics
+) -> _Mixture:
+    """Solve by generalized least squares, linearized about the batch's solution."""
+    measured = measurements_of(kept, independent.groups, dynamics)
+    residual, jacobian = measured.evaluate(independent.correction)
+    loads = np.zeros((len(residual), 2))
+    loads[: 2 * len(roots)] = np.concatenate(roots)
+    common, own = loads @ loads.T, np.zeros_like(measured.covariance)
+    for i, root in enumerate(roots):
+        own[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = root @ root.T
+    prior = independent.a_priori_rows
+    members = []
+    for share, size in zip(SHARE_OF_EACH, SIZE_OF_EACH, strict=True):
+        errors = size**2 * ((1.0 - share) * own + share * common)
+        factor = np.linalg.cholesky(measured.covariance - own + errors)
+        white = np.linalg.solve(factor, np.column_stack([jacobian, residual]))
+        rows = np.concatenate([white[:, :-1], prior])
+        right = np.concatenate([white[:, -1], -prior @ independent.correction])
+        members.append(_least_squares(rows, right, 2.0 * float(np.log(np.diag(factor)).sum())))
+    steps, covariances, costs = zip(*members, strict=True)
+    return _Mixture(independent.correction + np.array(steps), np.array(covariances), np.array(costs))
+
+
+def _least_squares(
+    rows: FloatArray, right: FloatArray, log_noise: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Step (n,), covariance (n, n), and minus twice the logarithm of the likelihood, the step integrated over."""
+    scale = np.linalg.norm(rows, axis=0)
+    q, r = np.linalg.qr(rows / scale)
+    inverse = np.linalg.inv(r) / scale[:, None]
+    fitted = q.T @ right
+    log_information = 2.0 * float(np.log(np.abs(np.diag(r)) * scale).sum())
+    return (
+        inverse @ fitted,
+        symmetric(inverse @ inverse.T),
+        float(right @ right - fitted @ fitted) + log_noise + log_information,
+    )
+
+
+def _filters(
+    kept: Sequence[Observable],
+    roots: Sequence[FloatArray],
+    parameters: Sequence[str],
+    asked: Mapping[str, Any],
+) -> _Mixture:
+    """Solve in the filter, the common error as a constant that each picture's centers depend on."""
+    options = dict(asked)
+    model = tuple(options.pop("model", ()))
+    members = []
+    for share, size in zip(SHARE_OF_EACH, SIZE_OF_EACH, strict=True):
+        sized = [_with_own_errors(o, root, share, size) for o, root in zip(kept, roots, strict=True)]
+        common = _common_errors(sized, roots, float(np.sqrt(share) * size))
+        members.append(
+            filter_estimate(sized, parameters, model=(*model, *common), reject_sigmas=np.inf, **options)
+        )
+    n = parameter_count(members[0].groups)
+    steps = []
+    for passed in zip(*(member.steps for member in members), strict=True):
+        so_far = _Mixture(
+            np.array([step.ahead[:n] for step in passed]),
+            np.array([step.ahead_covariance[:n, :n] for step in passed]),
+            np.array([step.cost for step in passed]),
+        )
+        if np.isfinite(so_far.costs).all():
+            steps.append((passed[0].image, passed[0].et, *so_far.moments()))
+    return _Mixture(
+        np.array([member.correction[:n] for member in members]),
+        np.array([member.covariance[:n, :n] for member in members]),
+        np.array([member.steps[-1].cost for member in members]),
+        tuple(steps),
+    )
+
+
+def _with_own_errors(o: Observable, root: FloatArray, share: float, size: float) -> Observable:
+    """Return an observable whose errors beyond noise are of another size, and without the common share of them."""
+    less = (1.0 - size**2 * (1.0 - share)) * root @ root.T
     return replace(
         o,
-        covariance_px2=symmetric(o.covariance_px2 - common),
-        total_covariance_px2=symmetric(o.total_covariance_px2 - common),
+        covariance_px2=symmetric(o.covariance_px2 - less),
+        total_covariance_px2=symmetric(o.total_covariance_px2 - less),
     )
 
 
 def _common_errors(
-    observables: Sequence[Observable], roots: Sequence[FloatArray], share: float
+    observables: Sequence[Observable], roots: Sequence[FloatArray], scale: float
 ) -> tuple[ModelParameter, ...]:
-    moved = {(o.image, o.name): np.sqrt(share) * root for o, root in zip(observables, roots, strict=True)}
+    moved = {(o.image, o.name): scale * root for o, root in zip(observables, roots, strict=True)}
 
     def along(axis: int) -> Callable[[Observable], FloatArray]:
         return lambda o: moved[o.image, o.name][:, axis]
@@ -192,41 +314,6 @@ def _common_errors(
     return tuple(
         ModelParameter(f"common error {name}", 1.0, "sigma", pixels=along(axis))
         for axis, name in enumerate(("east", "north"))
-    )
-
-
-def _minus_two_log_likelihood(found: FilterEstimate, observables: Sequence[Observable]) -> float:
-    """Of the measurements, parameters and noises integrated over; but for what all shares have in common.
-
-    Considered parameters count as what they are believed to be.
-    """
-    of_measurements = np.linalg.slogdet(joint_covariance_px2(observables))[1]
-    return float(found.chi2 + of_measurements + found.log_information)
-
-
-def _averaged(
-    observables: Sequence[Observable],
-    independent: Estimate,
-    filtered: FilterEstimate | None,
-    dynamics: Dynamics,
-    solved: Sequence[tuple[FilterEstimate, float]],
-) -> CommonErrorEstimate:
-    n = parameter_count(independent.groups)
-    unlikely = np.array([value for _, value in solved])
-    weights = np.exp(-0.5 * (unlikely - unlikely.min()))
-    weights /= weights.sum()
-    corrections = np.array([found.correction[:n] for found, _ in solved])
-    mean = weights @ corrections
-    within = np.einsum("k,kij->ij", weights, np.array([found.covariance[:n, :n] for found, _ in solved]))
-    between = (corrections - mean).T @ (weights[:, None] * (corrections - mean))
-    return CommonErrorEstimate(
-        independent=independent,
-        filtered=filtered,
-        correction=mean,
-        covariance=symmetric(within + between),
-        after=_residuals(observables, independent, dynamics, mean),
-        shares=SHARES.copy(),
-        weights=weights,
     )
 
 

@@ -85,10 +85,15 @@ class FilterStep:
 
     Attributes
     ----------
-    predicted, filtered, smoothed : (n,) arrays
-        The parameters, as `FilterEstimate.labels`; nan where the measurements so far do not determine them.
-    predicted_covariance, filtered_covariance, smoothed_covariance : (n, n) arrays
+    predicted, filtered, smoothed, ahead : (n,) arrays
+        The parameters, as `FilterEstimate.labels`; nan where the measurements so far do not determine them. `ahead` is the
+        filtered ones with the noise until `until_et`.
+    predicted_covariance, filtered_covariance, smoothed_covariance, ahead_covariance : (n, n) arrays
         Considered parameters included.
+    cost
+        Minus twice the logarithm of the likelihood of all measurements so far, states and noises integrated over, but for
+        what a priori knowledge and noises alone make it; nan where the state is not determined. Considered parameters count
+        as what they are believed to be.
     """
 
     image: str
@@ -99,6 +104,9 @@ class FilterStep:
     filtered_covariance: FloatArray
     smoothed: FloatArray
     smoothed_covariance: FloatArray
+    ahead: FloatArray
+    ahead_covariance: FloatArray
+    cost: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -189,9 +197,6 @@ class FilterEstimate:
         What was left out and taken in again.
     chi2
         Of the used measurements, a priori knowledge and noise, all pictures.
-    log_information
-        Logarithm of the determinant of the joint information on all solved states and noises: with `chi2` and the covariance
-        of the measurements it makes their likelihood.
     iterations
         Passes of filter and smoother, over all edits.
     """
@@ -210,7 +215,6 @@ class FilterEstimate:
     edits: tuple[Edit, ...]
     left_out: tuple[str, ...]
     chi2: float
-    log_information: float
     degrees_of_freedom: int
     probability: float
     iterations: int
@@ -592,6 +596,7 @@ class _Problem:
     prior: FloatArray  # (k, n) whitened, of the solved parameters
     considered_root: FloatArray
     steps: tuple[tuple[Step, ...], ...]  # before each picture, and after the last
+    ahead: tuple[tuple[Step, ...], ...]  # from each picture until the end
     used: list[BoolArray]
     again: set[tuple[int, int]] = field(default_factory=set)
     edits: list[Edit] = field(default_factory=list)
@@ -605,8 +610,8 @@ class _Pass:
     before: tuple[Information, ...]
     after: tuple[Information, ...]
     smoothed: tuple[Smoothed, ...]
+    costs: tuple[float, ...]
     end: Information
-    log_information: float
 
 
 def _full(layout: _Layout, solved: FloatArray) -> FloatArray:
@@ -636,8 +641,26 @@ def _one_pass(problem: _Problem, references: Sequence[FloatArray]) -> _Pass:
         for row in reversed(rows):
             state = smooth(state, row)
         smoothed.append(state)
-    of_noises = sum(row.log_information for rows in (*kept, last) for row in rows)
-    return _Pass(tuple(before), tuple(after), tuple(reversed(smoothed)), end, end.log_information + of_noises)
+    costs = _costs(problem, after, kept)
+    return _Pass(tuple(before), tuple(after), tuple(reversed(smoothed)), costs, end)
+
+
+def _costs(
+    problem: _Problem, after: Sequence[Information], kept: Sequence[Sequence[StepRows]]
+) -> tuple[float, ...]:
+    """Return `FilterStep.cost` of every picture."""
+    costs, passed = [], 0.0
+    for picture, used, known, rows in zip(problem.pictures, problem.used, after, kept, strict=True):
+        chosen = _rows_in_use(picture, used)
+        passed += float(np.linalg.slogdet(picture.measured.covariance[np.ix_(chosen, chosen)])[1])
+        passed += sum(row.log_information for row in rows)
+        costs.append(passed + known.square_sum + known.log_information if known.determined else float("nan"))
+    return tuple(costs)
+
+
+def _rows_in_use(picture: _Picture, used: BoolArray) -> IntArray:
+    chosen = [rows for (_, _, rows), u in zip(picture.units, used, strict=True) if u]
+    return np.concatenate([np.empty(0, dtype=np.int64), *chosen])
 
 
 def _through(known: Information, steps: Sequence[Step]) -> tuple[Information, list[StepRows]]:
@@ -664,8 +687,7 @@ def _whitened(
     layout = problem.layout
     residual, partials = picture.evaluate(reference)
     residual = residual + partials @ reference
-    chosen = [unit[2] for unit, u in zip(picture.units, used, strict=True) if u]
-    rows = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
+    rows = _rows_in_use(picture, used)
     factor = np.linalg.cholesky(picture.measured.covariance[np.ix_(rows, rows)])
     table = np.column_stack(
         [partials[rows][:, layout.solved], residual[rows], partials[rows][:, layout.considered]]
@@ -777,8 +799,14 @@ def _problem(
     for k, (a, b) in enumerate(pairwise(times)):
         within = 0 < k < len(pictures)  # from picture to picture what is white is new, even in no time
         steps.append(tuple(_steps_between(layout, dynamics, a, b)) if within or b > a else ())
+    ahead = tuple(
+        tuple(_steps_between(layout, dynamics, p.et, times[-1]))
+        if until_et is not None and times[-1] > p.et
+        else ()
+        for p in pictures
+    )
     used = [np.ones(len(p.units), bool) for p in pictures]
-    return _Problem(layout, dynamics, pictures, prior, root, tuple(steps), used)
+    return _Problem(layout, dynamics, pictures, prior, root, tuple(steps), ahead, used)
 
 
 def _edited(problem: _Problem, reject_sigmas: float) -> tuple[_Pass, tuple[FloatArray, ...], int, bool]:
@@ -829,8 +857,7 @@ def _scatter(
 
     What is not used is held against the used centers of its picture too, whose pointing error it shares.
     """
-    chosen = [rows for (_, _, rows), u in zip(picture.units, used, strict=True) if u]
-    of_used = np.concatenate([np.empty(0, dtype=np.int64), *chosen])
+    of_used = _rows_in_use(picture, used)
     judged = []
     for unit, ((kind, _, rows), u) in enumerate(zip(picture.units, used, strict=True)):
         others = of_used[:0] if u else of_used
@@ -911,7 +938,6 @@ def _result(
         edits=tuple(problem.edits),
         left_out=left_out,
         chi2=chi2,
-        log_information=found.log_information,
         degrees_of_freedom=freedom,
         probability=float(chdtrc(freedom, chi2)) if freedom > 0 else float("nan"),
         iterations=iterations,
@@ -947,8 +973,24 @@ def _known(problem: _Problem, at: Information | Smoothed) -> tuple[FloatArray, F
 
 def _filter_steps(problem: _Problem, found: _Pass) -> tuple[FilterStep, ...]:
     return tuple(
-        FilterStep(picture.image, picture.et, *_known(problem, b), *_known(problem, a), *_known(problem, s))
-        for picture, b, a, s in zip(problem.pictures, found.before, found.after, found.smoothed, strict=True)
+        FilterStep(
+            picture.image,
+            picture.et,
+            *_known(problem, before),
+            *_known(problem, after),
+            *_known(problem, smoothed),
+            *_known(problem, _through(after, steps)[0]),
+            cost,
+        )
+        for picture, before, after, smoothed, steps, cost in zip(
+            problem.pictures,
+            found.before,
+            found.after,
+            found.smoothed,
+            problem.ahead,
+            found.costs,
+            strict=True,
+        )
     )
 
 

@@ -6,7 +6,9 @@ package's predicted kernels have; corrections of it lie in the axes of its B-pla
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +27,12 @@ from opnav_workbench.estimation import (
     estimate_with_common_errors,
     straight_line,
 )
-from opnav_workbench.estimation.parameters import parameter_count, parse_groups, relative_state_matrix
+from opnav_workbench.estimation.parameters import (
+    parameter_count,
+    parse_groups,
+    relative_state,
+    relative_state_matrix,
+)
 from opnav_workbench.files import json_value, text_of, write_json
 from opnav_workbench.kernels import KernelSet, et_from_utc, state
 from opnav_workbench.mission import load_mission
@@ -158,8 +165,8 @@ def _checked_fields(content: Mapping[str, Any]) -> dict[str, Any]:
             )
     if "made_by" in content:
         fields["made_by"] = str(content["made_by"])
-    for name in ("disk_sigma_px", "common_share"):
-        fields[name] = float(content.get(name, 0.0))
+    for name, default in (("disk_sigma_px", 0.0), ("common_share", 0.0), ("error_size", 1.0)):
+        fields[name] = float(content.get(name, default))
     fields["history"] = tuple(_cutoff_from_row(row) for row in content.get("history", ()))
     fields["residuals"] = tuple(_residual_from_row(row) for row in content.get("residuals", ()))
     return fields
@@ -308,8 +315,9 @@ class OrtSolution:
         SHA-256 of the files that it rests on, by picture and file.
     disk_sigma_px
         Added (in squares) to the sigmas of the centers of disks.
-    common_share
-        Of the centers' errors beyond noise, what the measurements take to be the same in all pictures.
+    common_share, error_size
+        Of the centers' errors beyond noise, what the measurements take to be the same in all pictures, and how large they
+        take them to be over what is stated.
     history
         The flyby by time of data cutoff, in order of time: ``picture, et, pictures, b_plane, covariance``; the last picture
         counted, its time, how many are counted, B.T, B.R (km) and time of flight (s), and their covariance.
@@ -341,6 +349,7 @@ class OrtSolution:
     made_by: str = f"opnav_workbench {__version__}"
     disk_sigma_px: float = 0.0
     common_share: float = 0.0
+    error_size: float = 1.0
     history: tuple[Mapping[str, Any], ...] = ()
     filter: Mapping[str, Any] = field(default_factory=dict)
 
@@ -457,11 +466,12 @@ def solve_rehearsal(
         residuals=_residual_rows(common),
         words=tuple(d.words for d in found.directions),
         left_out=left_out,
-        messages=(*_camera_message(pictures), *_messages(fit)),
+        messages=(*_camera_message(pictures), *_messages(fit, common.size)),
         pictures={p.name: p.sha256 for p in pictures if p.sha256},
         disk_sigma_px=disk_sigma_px,
         common_share=common.share,
-        history=_history(package, flyby, observables, noise, options) if history else (),
+        error_size=common.size,
+        history=_history(package, flyby, observables, noise, common) if history else (),
         filter={} if filtered is None or common.filtered is None else filter_rows(common.filtered, filtered),
     )
 
@@ -490,26 +500,29 @@ def _history(
     flyby: PredictedFlyby,
     observables: Sequence[Observable],
     noise: Sequence[FloatArray | None],
-    options: Mapping[str, Any] | None,
+    common: CommonErrorEstimate,
 ) -> tuple[dict[str, Any], ...]:
-    """Return the flyby as known after each picture; after those that contradict each other there is none."""
+    """Return the flyby as known after each picture: as the filter passes it, or solved anew by the batch."""
     times = sorted({(o.et, o.image) for o in observables})
-    chosen = np.unique(np.linspace(0, len(times) - 1, min(len(times), MOST_CUTOFFS)).round().astype(int))
+    known = list(common.steps)
+    if common.filtered is None:
+        chosen = np.linspace(0, len(times) - 1, min(len(times), MOST_CUTOFFS)).round().astype(int)
+        for et, image in (times[k] for k in np.unique(chosen).tolist()):
+            counted = [(o.et, o.image) <= (et, image) for o in observables]
+            so_far = (list(compress(of_all, counted)) for of_all in (observables, noise))
+            with suppress(EstimationError):  # they contradict each other, or do not determine it yet
+                found = _solved(package, flyby, *so_far, None)
+                known.append((image, et, found.correction, found.covariance))
     rows = []
-    for last in chosen.tolist():
-        so_far = [(o, n) for o, n in zip(observables, noise, strict=True) if (o.et, o.image) <= times[last]]
-        try:
-            found = _solved(package, flyby, [o for o, _ in so_far], [n for _, n in so_far], options)
-        except EstimationError:
-            continue
-        after, covariance = found.relative_state(flyby.body)
+    for image, et, correction, covariance in known:
+        after, of_after = relative_state(common.independent.groups, correction, covariance, flyby.body)
         rows.append(
             {
-                "picture": Path(times[last][1]).stem,
-                "et": float(times[last][0]),
-                "pictures": last + 1,
+                "picture": Path(image).stem,
+                "et": float(et),
+                "pictures": 1 + times.index((et, image)),
                 "b_plane": flyby.corrected(after),
-                "covariance": flyby.covariance(after, covariance),
+                "covariance": flyby.covariance(after, of_after),
             }
         )
     return tuple(rows)
@@ -542,18 +555,20 @@ def _camera_message(pictures: Sequence[PictureResult]) -> tuple[str, ...]:
     return (words,)
 
 
-def _messages(found: Estimate | FilterEstimate) -> tuple[str, ...]:
+def _messages(found: Estimate | FilterEstimate, size: float) -> tuple[str, ...]:
     messages = list(found.messages)
+    counted = f"their errors beyond noise count {size:.2g} times what is stated"
     chi2 = found.chi2 if isinstance(found, FilterEstimate) else found.chi2_after
     if found.probability < LEAST_PROBABILITY:
         messages.append(
             f"chi-squared {chi2:.1f} for {found.degrees_of_freedom} degrees of freedom (probability "
-            f"{found.probability:.1g}): the centers' sigmas are too small, or something is wrong that is not estimated"
+            f"{found.probability:.1g}): the centers' sigmas are too small ({counted}), or something is wrong that is not "
+            "estimated"
         )
     if found.probability > 1.0 - LEAST_PROBABILITY:
         messages.append(
             f"chi-squared {chi2:.1f} for {found.degrees_of_freedom} degrees of freedom: the centers agree "
-            "better than their sigmas say; these surfaces may be kinder than what is allowed for"
+            f"better than their sigmas say: {counted}"
         )
     messages += [
         f"{r.body} in {r.image}: {r.kind} not used, {r.reason}" for r in found.residuals if not r.used

@@ -12,8 +12,18 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.cli.ort import ort
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import EstimationError, SessionError
-from opnav_workbench.rehearsal import OrtSolution, logged_delivery, open_rehearsal, reveal, score_rehearsal
+from opnav_workbench.estimation import Acceleration
+from opnav_workbench.rehearsal import (
+    OrtSolution,
+    logged_delivery,
+    open_rehearsal,
+    reveal,
+    score_rehearsal,
+    solve_rehearsal,
+)
+from opnav_workbench.rehearsal.filtering import FilterOptions
 
 SCENARIOS = {"pluto_final_approach": 3, "pluto_flyby_targeting": 3, "pluto_stress": 4}
 SEED = 3
@@ -212,6 +222,42 @@ def test_analyst_replaces_a_picture_and_estimates_again(team):
     assert after["degrees_of_freedom"] < before["degrees_of_freedom"]
     assert any("set aside by the analyst" in words for words in after["left_out"])
     assert np.trace(after["covariance"]) > np.trace(before["covariance"])
+
+
+@pytest.mark.slow
+def test_the_filter_takes_the_batchs_place(team, rehearsed):
+    """Of the same files: without noise the batch's solution, scored as that is; with noise it is less sure."""
+    package, folder = team
+    batch = OrtSolution.read(folder / "solution.json")
+    answer = run("solve", package, "--out", folder, "--only-estimate", "--filter")
+    assert answer.exit_code == 0, answer.output
+    assert "Through the filter" in answer.output
+    found = OrtSolution.read(folder / "solution.json")
+    assert np.abs((found.correction - batch.correction) / batch.sigma).max() < 1e-3
+    assert found.covariance == pytest.approx(batch.covariance, rel=1e-2)
+    assert [row["picture"] for row in found.history] == [row["picture"] for row in batch.history]
+    assert found.history[-1]["b_plane"] == pytest.approx(found.b_plane_after, rel=1e-9)
+    assert len(found.filter["steps"]) == len({row["image"] for row in found.residuals})
+    assert graded(package, folder).grade.letter in "AB"
+    assert "By the filter, which allows for nothing" in (folder / "solution.html").read_text()
+    told = run(
+        "solve", package, "--out", folder, "--only-estimate", "--bias", "0.3:inf", "--consider", "gm=50"
+    )
+    assert told.exit_code == 0, told.output
+    assert "centers of 0.3 px, the same always; gm considered" in told.output
+    assert np.prod(OrtSolution.read(folder / "solution.json").b_plane_sigma) > 2.0 * np.prod(
+        batch.b_plane_sigma
+    )
+    refused = run("solve", package, "--out", folder, "--only-estimate", "--acceleration", "1e-10:5")
+    assert "an acceleration of the spacecraft needs its position" in str(refused.exception)
+    # Where the spacecraft's own state is estimated, an acceleration until the encounter widens the flyby, not its past.
+    package, folder = rehearsed("pluto_flyby_targeting")
+    quiet, pushed = (
+        solve_rehearsal(open_rehearsal(package), folder, history=True, filtered=FilterOptions(acceleration=a))
+        for a in (None, Acceleration(3e-10, 5.0 * DAY_S))
+    )
+    assert pushed.b_plane_sigma[2] > 1.05 * quiet.b_plane_sigma[2]
+    assert pushed.history[-1]["b_plane"] == pytest.approx(pushed.b_plane_after, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.estimation import Acceleration, Pointing, estimate, estimate_with_common_errors
+from opnav_workbench.estimation.common_errors import SHARES, SIZES
 
 DAYS = np.linspace(8.0, 3.0, 6)
 NOISE = 0.01**2 * np.eye(2)
@@ -17,12 +18,12 @@ def pictures(approach):
     return approach(pointing_sigma_px=0.01).observables(DAYS)
 
 
-def spoiled(observables, displaced, rng, share):
+def spoiled(observables, displaced, rng, share, size=1.0):
     """Centers with noise, errors of their own, and one error east and north that all of them have."""
     common, drawn = rng.normal(size=2), []
     for o in observables:
         u, _, v = np.linalg.svd(o.sky_partials_px_per_rad)
-        sigma = np.sqrt(0.1**2 - 0.01**2)
+        sigma = size * np.sqrt(0.1**2 - 0.01**2)
         error = sigma * (np.sqrt(share) * u @ v @ common + np.sqrt(1.0 - share) * rng.normal(size=2))
         pointing = np.linalg.cholesky(o.total_covariance_px2 - o.covariance_px2 + 1e-12 * np.eye(2))
         drawn.append(displaced(o, error + 0.01 * rng.normal(size=2) + pointing @ rng.normal(size=2)))
@@ -42,8 +43,21 @@ def solved(drawn):
 def test_measurements_tell_what_is_common(pictures, displaced):
     rng = np.random.default_rng(2)
     shares = {s: solved(spoiled(pictures, displaced, rng, s)).share for s in (0.0, 0.98)}
-    assert shares[0.0] < 0.35
+    assert shares[0.0] < 0.4
     assert shares[0.98] > 0.7
+
+
+def test_measurements_tell_how_large_errors_are(pictures, displaced):
+    """A third or three times of what is stated, of which half is common: the size is seen, and the sigmas follow it."""
+    found = {}
+    for size in (1.0 / 3.0, 1.0, 3.0):
+        rng = np.random.default_rng(7)
+        found[size] = solved(spoiled(pictures, displaced, rng, 0.5, size))
+    assert found[1.0 / 3.0].size < 0.6
+    assert 0.7 < found[1.0].size < 1.4
+    assert found[3.0].size > 2.0
+    across = {size: np.sqrt(np.linalg.eigvalsh(f.covariance)[0]) for size, f in found.items()}
+    assert across[1.0 / 3.0] < 0.7 * across[1.0] < 0.5 * across[3.0]
 
 
 def test_without_model_errors_it_is_the_batch(pictures, noise_of):
@@ -54,7 +68,10 @@ def test_without_model_errors_it_is_the_batch(pictures, noise_of):
     )
     assert np.abs((found.correction - batch.correction) / batch.sigma).max() < 1e-6
     np.testing.assert_allclose(found.covariance, batch.covariance, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(found.weights, 0.1, rtol=1e-6)
+    shares = found.weights.reshape(len(SHARES), len(SIZES))
+    np.testing.assert_allclose(
+        shares, np.tile(shares[0], (len(SHARES), 1)), rtol=1e-6
+    )  # nothing tells them apart
     for mine, theirs in zip(found.after, found.independent.residuals, strict=True):
         np.testing.assert_allclose(mine, theirs.after, atol=1e-6)
 
@@ -97,18 +114,19 @@ def test_filter_in_the_batchs_place(approach, pictures, displaced):
 
 
 def _same(one, other):
-    assert np.abs((one.correction - other.correction) / np.sqrt(np.diag(other.covariance))).max() < 1e-6
-    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(one.weights, other.weights, rtol=1e-5)
+    """But for what the batch's one linearization leaves."""
+    assert np.abs((one.correction - other.correction) / np.sqrt(np.diag(other.covariance))).max() < 3e-4
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-3)
+    np.testing.assert_allclose(one.weights, other.weights, rtol=1e-3, atol=1e-12)
 
 
 def test_pushed_spacecraft_is_known_less(pictures, displaced):
-    drawn = spoiled(pictures, displaced, np.random.default_rng(6), 0.5)
+    drawn = spoiled(pictures[:6], displaced, np.random.default_rng(6), 0.5)
     names = ("spacecraft_position", "spacecraft_velocity")
     asked = {"parameters": names, "a_priori": dict(zip(names, (5000.0, 0.01), strict=True))}
     quiet, pushed = (
         estimate_with_common_errors(drawn, [NOISE] * len(drawn), filter_options=options, **asked)
-        for options in ({}, {"accelerations": (Acceleration(1e-9, 86400.0),)})
+        for options in ({}, {"accelerations": (Acceleration(1e-8, 86400.0),)})
     )
     assert (np.diag(pushed.covariance) > 1.05 * np.diag(quiet.covariance))[:3].any()
     assert len(pushed.correction) == 6
@@ -117,14 +135,14 @@ def test_pushed_spacecraft_is_known_less(pictures, displaced):
 
 
 @pytest.mark.slow
-def test_errors_over_sigmas_whatever_is_common(pictures, displaced):
-    """16 approaches with shares of all sizes; where all is common, taking none as common is too sure across."""
+def test_errors_over_sigmas_whatever_is_common_and_however_large(pictures, displaced):
+    """100 approaches, shares and sizes as they are believed in; taking none as common and all as stated is too sure."""
     rng, sizes, careless = np.random.default_rng(4), [], []
-    for _ in range(16):
-        drawn = spoiled(pictures, displaced, rng, rng.uniform())
+    for _ in range(100):
+        drawn = spoiled(pictures, displaced, rng, rng.uniform(), 2.0 ** rng.normal())
         found = solved(drawn)
         error = found.correction
         sizes.append(error @ np.linalg.solve(found.covariance, error) / 3.0)
         careless.append(error @ np.linalg.solve(found.independent.covariance, error) / 3.0)
-    assert 0.7 < np.sqrt(np.mean(sizes)) < 1.3  # 16 trials know it to 0.1
-    assert np.sqrt(np.mean(careless)) > 1.2
+    assert 0.85 < np.sqrt(np.mean(sizes)) < 1.15
+    assert np.sqrt(np.mean(careless)) > 1.5
