@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo
 from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
@@ -237,20 +237,25 @@ class LimbSystem:
         return _MarginalEquations(field, spread, factor, normal, right, whole, mixed)
 
     def noise_covariance(self, prior: FieldPrior) -> FloatArray:
-        """Return what noise and grain of the cells alone scatter theta (p, p) by, under a prior.
+        """Return what the noise of the cells alone scatters theta (p, p) by, under a prior.
 
-        The solution is G y with G = P X^T C^-1, so this is G D G^T. The rest of its covariance P stays the same when the
-        picture is taken again: albedo, law, figure.
+        The solution is G y with G = P X^T C^-1, so this is G V G^T with V the noise. The rest of its covariance P stays the
+        same when the picture is taken again: albedo and grain, law, figure.
         """
         cells = self.weighed(prior.grain)
         found, p = self._marginal(prior, cells), len(self.shared)
-        cross, spread, root = cells.cross[:, :p], found.spread, cells.root
+        cross, spread = cells.cross[:, :p], found.spread
         half = linalg.cho_solve((found.factor, True), spread @ cross, check_finite=False)
-        nodes = found.field @ cross - spread.T @ half  # of the field, for each column of X
-        seen = np.matmul(root, nodes.reshape(len(root), -1, p)).reshape(-1, p)
-        inner = cells.plain[:p, :p] - cross.T @ nodes - nodes.T @ cross + seen.T @ seen
-        gain = found.mixed.covariance
-        return symmetric(gain @ inner @ gain)
+        nodes = (found.field @ cross - spread.T @ half).reshape(
+            len(cells.root), -1, p
+        )  # of the field, of each column of X
+        left = self.shared - np.einsum("qjc,jqp->pjc", self.own, nodes)
+        used = np.isfinite(self.variance)
+        by_noise = (left / (self.variance + (prior.grain * self.light) ** 2))[:, used] * np.sqrt(
+            self.variance[used]
+        )
+        by_noise = found.mixed.covariance @ by_noise
+        return np.asarray(by_noise @ by_noise.T)
 
     def log_likelihood(self, prior: FieldPrior, cells: WeighedCells) -> float:
         """Return that of a prior, marginal over everything; `cells` are weighed by its grain."""
