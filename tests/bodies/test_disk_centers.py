@@ -8,7 +8,9 @@ from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, r
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk
+from opnav_workbench.bodies.disk.fit import CENTER
 from opnav_workbench.bodies.disk.limb_light import PLANES
+from opnav_workbench.bodies.disk.marginal import FieldPrior
 from opnav_workbench.bodies.disk.measurement import likelier, measure_disk
 from opnav_workbench.render import FigureUncertainty, LunarLambert
 
@@ -105,6 +107,27 @@ def test_a_limb_that_fades_with_the_root_of_its_depth_draws_no_center_along(body
     disk = measure_disk(picture, "BODY", "auto", None, None)
     assert np.abs(disk.fit.center_px - place).max() < 0.003
     assert np.abs(disk.fit.shape.law).max() < 0.03
+
+
+@pytest.mark.slow
+def test_noise_of_a_center_is_what_other_noise_moves_it_by(body_stage):
+    """A patched surface, told by the prior: cells with noise anew scatter the center by its noise, not by its albedo."""
+    body = body_stage.body(36.0, 15.0, np.array([500.3, 480.7]), law=LunarLambert(0.5))
+    picture = body_stage.picture(body_stage.light(body), [body], np.random.default_rng(2))
+    system = measure_disk(picture, "BODY", "auto", None, None).fit.system
+    prior, rng = FieldPrior(0.3, 0.4, 0.05, 0.02), np.random.default_rng(3)
+    sigma = np.where(np.isfinite(system.variance), np.sqrt(system.variance), 0.0)
+    drawn = [
+        replace(system, data=system.data + sigma * rng.normal(size=sigma.shape)).solve(prior).theta
+        for _ in range(60)
+    ]
+    noise = system.noise_covariance(prior)[np.ix_(CENTER, CENTER)]
+    found = np.cov(np.array(drawn)[:, CENTER].T)
+    ratios = np.linalg.eigvals(np.linalg.solve(noise, found)).real
+    assert np.sqrt(ratios.min()) > 0.7
+    assert np.sqrt(ratios.max()) < 1.3
+    whole = system.solve(prior).covariance[np.ix_(CENTER, CENTER)]
+    assert np.linalg.eigvals(np.linalg.solve(whole, noise)).real.max() < 0.5
 
 
 @pytest.mark.slow(keep=["9-45.0-0.2"])
