@@ -17,7 +17,8 @@ considered, by `observability` for what pictures determine, and by `triangulate`
 ``history``
     `b_plane_history`: the flyby as known after each picture.
 ``common_errors``
-    `estimate_with_common_errors`: centers whose errors beyond noise are in part the same in all pictures.
+    `estimate_with_common_errors`: centers whose errors beyond noise are in part the same in all pictures, of a size
+    that their scatter tells.
 ``parameters``
     What is solved for, and what is known of it before.
 ``measurements``

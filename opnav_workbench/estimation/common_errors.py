@@ -40,7 +40,7 @@ SIZE_COSTS = np.arange(-2.0, 2.5) ** 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommonErrorEstimate:
-    """An estimate over all shares of common error; arrays are read-only.
+    """An estimate over all shares and sizes of errors beyond noise; arrays are read-only.
 
     Attributes
     ----------

@@ -26,6 +26,8 @@ Operational readiness tests (ORT) go `new_rehearsal` -> `open_rehearsal` -> `sol
     The truth encrypted, the reveal with the director's key, and the log of reveals.
 ``results``
     What a team made of the pictures, and the observables that count.
+``filtering``
+    What the filter allows for in a flyby's estimate, and what passes through it as rows.
 ``solution``
     The team's estimate of states and flyby, and its file.
 ``orbit``

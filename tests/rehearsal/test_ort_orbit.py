@@ -9,7 +9,7 @@ from orbit_small import small_scenario
 from typer.testing import CliRunner
 
 from opnav_workbench.cli.ort import ort
-from opnav_workbench.errors import MissionError, SessionError
+from opnav_workbench.errors import EstimationError, MissionError, SessionError
 from opnav_workbench.landmarks import ellipsoid_shape
 from opnav_workbench.rehearsal import load_ort_scenario, open_rehearsal, ort_scenario_names
 from opnav_workbench.rehearsal.orbit.solution import OrbitSolution
@@ -94,6 +94,11 @@ def test_a_team_solves_it_blind_and_is_graded(tmp_path):
     solution = OrbitSolution.read(team / "solution.json")
     sources = {name: one["source"] for name, one in solution.attitudes.items()}
     assert sources == {"pair_1": "carried", "full_1": "landmarks"}
+    results = {name: json.loads((team / name / "result.json").read_text()) for name in sources}
+    assert {name: one["status"] for name, one in results.items()} == {"pair_1": "ok", "full_1": "partial"}
+    assert any("landmarks of BENNU do" in words for words in results["full_1"]["messages"])
+    with pytest.raises(EstimationError, match="the filter is for flybys"):
+        run.invoke(ort, ["solve", str(package), "--out", str(team), "--filter"], catch_exceptions=False)
     output = call("score", package, "--solutions", team)
     score = json.loads((team / "score.json").read_text())
     assert score["grade"]["letter"] in "AB", output

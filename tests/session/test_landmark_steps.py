@@ -22,6 +22,7 @@ from opnav_workbench.processing import Outcome
 from opnav_workbench.render import Lambert
 from opnav_workbench.scene import Observer
 from opnav_workbench.session import ImageSession, load_decisions
+from opnav_workbench.session.autosave import STATE_FILE
 from opnav_workbench.targets import TargetState
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "landmarks"))
@@ -221,6 +222,26 @@ def test_files_are_sound_hold_every_landmark_and_resume_the_same(found, tmp_path
     assert len(read_ecsv(folder / "observables.ecsv")) == n
     again = ImageSession.resume(folder)
     assert json.loads(again.to_json())["landmarks"] == json.loads(found.to_json())["landmarks"]
+
+
+@pytest.mark.slow
+def test_landmarks_alone_are_a_part_of_a_result_and_their_state_is_kept(found, tmp_path, monkeypatch):
+    result = json.loads(found.to_json())
+    assert result["pointing"] is None
+    assert result["status"] == "partial"
+    assert any(f"landmarks of {BODY} do" in message for message in result["messages"])
+    monkeypatch.setattr("opnav_workbench.session.session.SAVE_KEEPS_AFTER_S", 0.0)
+    folder = found.save(tmp_path / "run")
+
+    def sought_again(*_arguments, **_options):
+        raise AssertionError("the landmarks were looked for again")
+
+    monkeypatch.setattr("opnav_workbench.session.landmark_steps.find_landmarks", sought_again)
+    again = json.loads(ImageSession.resume(folder).to_json())
+    assert again["landmarks"] == result["landmarks"]
+    (folder / STATE_FILE).unlink()
+    with pytest.raises(AssertionError, match="looked for again"):
+        ImageSession.resume(folder)
 
 
 def test_a_body_without_maplets_is_told(opened, tmp_path):
