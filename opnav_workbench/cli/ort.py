@@ -374,8 +374,10 @@ def _filter_options(
     given = (acceleration, pointing, bias)
     if not asked and not consider and given == (None, None, None):
         return None
-    considered = dict(word.split("=", 1) if "=" in word else (word, None) for word in consider)
-    sigmas = {name: None if s is None else _float(f"--consider {name}", s) for name, s in considered.items()}
+    considered: dict[str, float | None] = {}
+    for word in consider:
+        name, named, sigma = word.partition("=")
+        considered[name] = _float(f"--consider {name}", sigma) if named else None
     if acceleration is not None and ":" not in acceleration:
         raise EstimationError(
             f"--acceleration {acceleration}: say for how many days it lasts as well, such as {acceleration}:5."
@@ -389,7 +391,7 @@ def _filter_options(
         acceleration=None if pushed is None else Acceleration(*pushed),
         pointing=None if turned is None else Pointing(arcsec * turned[0], turned[1]),
         bias=None if moved is None else CenterBias(*moved),
-        consider=sigmas,
+        consider=considered,
     )
 
 

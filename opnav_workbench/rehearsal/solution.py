@@ -509,8 +509,8 @@ def _history(
         chosen = np.linspace(0, len(times) - 1, min(len(times), MOST_CUTOFFS)).round().astype(int)
         for et, image in (times[k] for k in np.unique(chosen).tolist()):
             counted = [(o.et, o.image) <= (et, image) for o in observables]
-            so_far = (list(compress(of_all, counted)) for of_all in (observables, noise))
             with suppress(EstimationError):  # they contradict each other, or do not determine it yet
+                so_far = list(compress(observables, counted)), list(compress(noise, counted))
                 found = _solved(package, flyby, *so_far, None)
                 known.append((image, et, found.correction, found.covariance))
     rows = []
