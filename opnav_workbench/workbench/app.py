@@ -129,6 +129,7 @@ class Workbench:
         return self.controller.queue.session
 
     def _paint(self, html: Mapping[str, str]) -> None:
+        self.view.bridge.flush()  # what is told in words is seen by then
         for name, shown in html.items():
             self.regions[name].html = shown  # sent only where it differs
 

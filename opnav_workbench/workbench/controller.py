@@ -266,6 +266,7 @@ class WorkbenchController:
             self._show_session(item, item.session)
         else:
             self._blank(f"opening {item.name}")
+            self.refresh()  # told at once
             self.runner.run(
                 f"opening {item.name}",
                 lambda: self._open(item),

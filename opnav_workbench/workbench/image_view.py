@@ -11,7 +11,9 @@ never asks Python.
 
 import itertools
 import json
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -292,6 +294,15 @@ class ImageView:
             return picture_png(np.zeros((EMPTY_SIZE, EMPTY_SIZE)), 0.0, 1.0)
         low, high = self.images.limits(DEFAULT_LIMITS)
         return picture_png(self.session.context.picture.image_dn, low, high)
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held while the picture is changed, and while a click or a drag is answered."""
+        return self.bridge.lock
+
+    def batch(self) -> AbstractContextManager[None]:
+        """Let the changes of the block reach the pages together."""
+        return self.bridge.batch()
 
     # -- what is shown -----------------------------------------------------------------------------------------
 

@@ -189,7 +189,7 @@ class StepRunner:
         self.examine_each = False
         self.search = StarSearch()
         self.model = "euler"
-        self.lock = threading.RLock()
+        self.lock = viewer.lock
         self.running: RunningStep | None = None
         self.line: deque[Callable[[], None]] = deque()
         self.repaint: Callable[[], None] = lambda: None
@@ -324,11 +324,15 @@ class StepRunner:
         """Paint everything once when the block is through; what the status line tells is then shown already."""
         self.repainting += 1
         try:
-            yield
+            with self.viewer.batch():
+                try:
+                    yield
+                finally:
+                    self.repainting -= 1
+                    if not self.repainting:
+                        self.repaint()
         finally:
-            self.repainting -= 1
             if not self.repainting:
-                self.repaint()
                 self._begin_follower()
 
     @contextmanager
