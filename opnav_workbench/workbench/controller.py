@@ -449,7 +449,7 @@ class WorkbenchController:
         if session is not None:
             picture = session.context.picture
             utc = session.inputs.utc.removesuffix(".000")  # the rest has room in a narrow window then
-            facts = f"{session.context.camera.name}, {utc} UTC, {picture.exposure_s:g} s"
+            facts = f"{session.context.camera.name}, {picture.exposure_s:g} s, {utc} UTC"
         return render(
             "header.html",
             actions=self.registry,

@@ -400,7 +400,7 @@ class StepRunner:
         """One line on the stars found last."""
         state = self.session.state
         used, on_detector = int(state.mask("used").sum()), int((~state.mask("off_detector")).sum())
-        return f"{used} of {on_detector} stars found. {' '.join(state.notes.get('stars', ()))}".strip()
+        return "; ".join([f"{used} of {on_detector} stars found", *state.notes.get("stars", ())])
 
     def decide(self, decision: Callable[[], object], done: str | Callable[[], str]) -> None:
         """Take a decision on stars, shown at once; where a pointing stands, solve it again with what is then in use."""
