@@ -56,7 +56,9 @@ def test_a_poles_letter_stands_beside_its_bodys_name(step):
     pole = np.array([place, place + step])
     small = BodyMarks("PLUTO", place, 3.0, True, limb, limb, np.empty((0, 2)), pole)
     columns = body_label_columns([small], (100, 100))
-    name, letter = np.add(columns["line"], columns["y_offset"])  # lower edges, a pixel of the picture one of the screen
+    name, letter = np.add(
+        columns["line"], columns["y_offset"]
+    )  # lower edges, a pixel of the picture one of the screen
     assert columns["text"] == ["PLUTO", "N"]
     assert abs(name - letter) > FONT_PX - 1.0  # a letter of capitals is lower than its font
 
