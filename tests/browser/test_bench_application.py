@@ -347,25 +347,26 @@ def test_a_kernel_that_nothing_is_heard_of_is_waited_for(bench):
     answered(page)
 
 
-@pytest.mark.parametrize("pause_ms", [0, 400])  # before the field is there, and after
-def test_what_is_typed_after_the_notes_key_is_the_note(bench, pause_ms):
-    """No letter of it is a command: `c` inverts the picture, `r` rejects a star."""
-    page, words = bench.page, f"carrier {pause_ms}"
+@pytest.mark.parametrize("waits", ["not", "to type", "to end"])  # for the field, which the key brings
+def test_what_is_typed_after_the_notes_key_is_the_note(bench, waits):
+    """No letter of it is a command: `c` takes another color map, `r` rejects a star."""
+    page, words = bench.page, f"carrier {waits}"
     show_tab(page, "4")
-    before = page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').inverted")
+    field = page.locator(".ow-panel input[data-take]")
+    before = page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').colormap")
     page.keyboard.press("z")
-    page.wait_for_timeout(pause_ms)
+    if waits == "to type":
+        field.wait_for()
     page.keyboard.type(words)
+    if waits == "to end":
+        field.wait_for()
     page.keyboard.press("Enter")
-    said(page, "note written")
     page.locator(".ow-panel .observables li", has_text=words).wait_for()
     page.keyboard.press("z")
-    field = page.locator(".ow-panel input[data-take]")
-    field.wait_for()
     page.wait_for_function("() => document.activeElement?.dataset.take !== undefined")
     page.keyboard.press("Escape")
     field.wait_for(state="detached")
-    assert page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').inverted") == before
+    assert page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').colormap") == before
 
 
 def test_a_kernel_that_ended_says_so_and_starts_again(bench):

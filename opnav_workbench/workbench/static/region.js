@@ -353,11 +353,9 @@ function render({ model, el }) {
     if (!field || root()?.owTyped === undefined) return;
     const [text, ...ended] = root().owTyped.split("\n");
     root().owTyped = undefined;
-    field.value = text;
     field.focus();
-    if (!ended.length) return;
-    field.dispatchEvent(new Event("change", { bubbles: true }));
-    root().focus({ preventScroll: true });
+    if (text) document.execCommand("insertText", false, text); // as if it were typed: the field tells of it when it is left
+    if (ended.length) root().focus({ preventScroll: true });
   };
   // A class of the root's: with `:has` the browser would look at all the workbench at each change of anything in it.
   const count = () => {
