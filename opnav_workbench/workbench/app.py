@@ -70,7 +70,13 @@ class Region(anywidget.AnyWidget):
 
     def _message(self, _: object, content: Mapping[str, Any], __: object) -> None:
         self._on_message(content)
-        self.send({"heard": content.get("act", "")})  # the page then knows that the kernel lives
+        # The page then knows that the kernel lives, and of a key that opens a field whether one has come.
+        self.send(
+            {
+                "heard": content.get("act", ""),
+                "key": content.get("arg") if content.get("act") == "key" else None,
+            }
+        )
 
 
 class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no types

@@ -451,14 +451,14 @@ class BodiesTab(Tab):
 
     def center_line(self, name: str) -> str:
         """One line on the center found last."""
-        found = [center for center in self.runner.session.state.bodies if center.name == name]
-        if not found:
+        centers = [center for center in self.runner.session.state.bodies if center.name == name]
+        if not centers:
             return f"{name}: nothing found."
-        center = found[-1]
+        center = centers[-1]
         place = ""
         if center.pixel_line is not None:
             sigma = np.sqrt(np.diag(center.covariance_px2))
-            (pixel, line) = center.pixel_line
+            pixel, line = center.pixel_line
             place = f"pixel {pixel:.3f} ± {sigma[0]:.3f}, line {line:.3f} ± {sigma[1]:.3f}, "
         found = f"{name}, {words(center.method)}: {place}{words(center.status)}"
         return "; ".join([found, *center.messages])

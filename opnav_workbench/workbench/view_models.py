@@ -241,7 +241,7 @@ def body_label_columns(marks: Sequence[BodyMarks], shape: tuple[int, ...]) -> Co
     last = np.array(shape[::-1]) - 1.0
     offsets = [BELOW_PX if one else ABOVE_PX for one in up]
     offsets = [o if len(m.predicted_limb_px) else BESIDE_PX for o, m in zip(offsets, marks, strict=True)]
-    right, down = np.reshape([*offsets, *[POLE_PX] * len(poles)], (-1, 2)).T
+    right, down = np.reshape([*offsets, *[POLE_PX] * len(poles)], (-1, 2)).T.tolist()
     names = [mark.name for mark in marks] + ["N"] * len(poles)
     return label_columns([*np.clip(limbs, 0.0, last), *poles], names, (right, down), shape[::-1])
 

@@ -371,7 +371,7 @@ function render({ model, el }) {
   model.on("change:keymap", keys);
   model.on("msg:custom", (message) => {
     if (message.beat) return life()?.beat();
-    if (root()) root().owTyped = undefined; // it is answered: no field has come
+    if (root()?.owKeymap?.typing.includes(message.key)) root().owTyped = undefined; // it is answered: no field has come
     life()?.answer();
   });
   model.on("comm:close", dead);
