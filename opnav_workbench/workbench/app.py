@@ -49,6 +49,8 @@ class Region(anywidget.AnyWidget):
         itself while it has the focus; and those that mean nothing but in the picture, which Python need not be asked for.
     page_keys : dict
         Keys of what happens in the page alone, and its names.
+    typing_keys : list of str
+        Keys that open a field: what is typed until it is there is meant for it.
     """
 
     _esm = page_files("keys.js", "region.js")
@@ -59,6 +61,7 @@ class Region(anywidget.AnyWidget):
     picture_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
     picture_alone = traitlets.List(traitlets.Unicode()).tag(sync=True)
     page_keys = traitlets.Dict().tag(sync=True)
+    typing_keys = traitlets.List(traitlets.Unicode()).tag(sync=True)
 
     def __init__(self, name: str, on_message: Callable[[Mapping[str, Any]], None]) -> None:
         super().__init__(name=name)
@@ -67,7 +70,13 @@ class Region(anywidget.AnyWidget):
 
     def _message(self, _: object, content: Mapping[str, Any], __: object) -> None:
         self._on_message(content)
-        self.send({"heard": content.get("act", "")})  # the page then knows that the kernel lives
+        # The page then knows that the kernel lives, and of a key that opens a field whether one has come.
+        self.send(
+            {
+                "heard": content.get("act", ""),
+                "key": content.get("arg") if content.get("act") == "key" else None,
+            }
+        )
 
 
 class WorkbenchBox(ipywidgets.Box):  # type: ignore[misc]  # ipywidgets has no types
@@ -111,6 +120,7 @@ class Workbench:
         self.regions["header"].page_keys = {key: name for name in ROOM for key in registry[name].keys}
         self.regions["header"].picture_keys = [key for action in self.view.actions for key in action.keys]
         self.regions["header"].picture_alone = registry.keys_alone(PICTURE)
+        self.regions["header"].typing_keys = list(registry["note"].keys)
         self.regions["header"].keymap = self.controller.registry.keys
         self.controller.on_render = self._paint
         picture = self.view.widget
@@ -129,6 +139,7 @@ class Workbench:
         return self.controller.queue.session
 
     def _paint(self, html: Mapping[str, str]) -> None:
+        self.view.bridge.flush()  # what is told in words is seen by then
         for name, shown in html.items():
             self.regions[name].html = shown  # sent only where it differs
 

@@ -59,6 +59,7 @@ class Prediction:
     pixel: float
     line: float
     diameter_px: float
+    is_on_detector: bool
 
     @property
     def is_sized(self) -> bool:
@@ -357,7 +358,7 @@ class BodiesTab(Tab):
         """Bring the body at hand into the middle, as large as it is judged best."""
         marks = {mark.name: mark for mark in body_marks(self.runner.session)}
         mark = marks.get(self.chosen)
-        if mark is not None:
+        if mark is not None and self._is_on_detector(mark.center_px, mark.radius_px):
             span_px = max(BODY_SPAN * 2.0 * mark.radius_px, LEAST_SPAN_PX)
             self.runner.viewer.look(mark.center_px, span_px, unless_seen=unless_seen)
 
@@ -395,7 +396,15 @@ class BodiesTab(Tab):
         if target is None:
             return None
         seen = predicted_body(session, target)
-        return Prediction(float(seen.pixel_line[0]), float(seen.pixel_line[1]), float(seen.diameter_px))
+        pixel, line = map(float, seen.pixel_line)
+        on = self._is_on_detector(seen.pixel_line, 0.5 * float(np.nan_to_num(seen.diameter_px)))
+        return Prediction(pixel, line, float(seen.diameter_px), on)
+
+    def _is_on_detector(self, center_px: FloatArray, radius_px: float) -> bool:
+        """Whether any of a body may be seen."""
+        n_line, n_pixel = self.runner.session.context.picture.image_dn.shape
+        last = np.array([n_pixel, n_line]) - 0.5
+        return bool(np.all((center_px > -0.5 - radius_px) & (center_px < last + radius_px)))
 
     # -- actions -----------------------------------------------------------------------------------------------
 
@@ -442,18 +451,17 @@ class BodiesTab(Tab):
 
     def center_line(self, name: str) -> str:
         """One line on the center found last."""
-        found = [center for center in self.runner.session.state.bodies if center.name == name]
-        if not found:
+        centers = [center for center in self.runner.session.state.bodies if center.name == name]
+        if not centers:
             return f"{name}: nothing found."
-        center = found[-1]
-        said = "; ".join(center.messages)
-        if center.pixel_line is None:
-            return f"{name}, {words(center.method)}: {words(center.status)}. {said}"
-        sigma = np.sqrt(np.diag(center.covariance_px2))
-        return (
-            f"{name}, {words(center.method)}: pixel {center.pixel_line[0]:.3f} ± {sigma[0]:.3f}, "
-            f"line {center.pixel_line[1]:.3f} ± {sigma[1]:.3f}, {center.status}. {said}"
-        ).strip()
+        center = centers[-1]
+        place = ""
+        if center.pixel_line is not None:
+            sigma = np.sqrt(np.diag(center.covariance_px2))
+            pixel, line = center.pixel_line
+            place = f"pixel {pixel:.3f} ± {sigma[0]:.3f}, line {line:.3f} ± {sigma[1]:.3f}, "
+        found = f"{name}, {words(center.method)}: {place}{words(center.status)}"
+        return "; ".join([found, *center.messages])
 
     def _next_body(self) -> None:
         names = self.names

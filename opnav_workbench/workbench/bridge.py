@@ -122,6 +122,11 @@ class Bridge:
     parts
         Parts of BokehJS that the models need.
 
+    Attributes
+    ----------
+    lock : RLock
+        Held while anything is changed or a callback runs; who has a lock of his own for what callbacks do has to take this.
+
     Examples
     --------
     >>> from bokeh.models import Div
@@ -144,7 +149,7 @@ class Bridge:
         self.picture = picture
         self.parts = tuple(parts)
         self.status = Status(message="", changed=self._send_status) if status is None else status
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
         self._carriers: list[Carrier] = []
         self._pages: set[str] = set()
         self._keys: dict[str, Callable[[], object]] = {}
@@ -203,7 +208,7 @@ class Bridge:
         page
             Name of an action of the page instead, which needs no round trip.
         """
-        with self._lock:
+        with self.lock:
             self._keys.pop(key, None)
             self._page_keys.pop(key, None)
             if callback is not None:
@@ -236,37 +241,39 @@ class Bridge:
     @contextlib.contextmanager
     def batch(self) -> Iterator[None]:
         """Collect the changes of the block into one patch; other threads wait."""
-        with self._lock:
+        with self.lock:
             self._depth += 1
             try:
                 yield
             finally:
                 self._depth -= 1
                 if self._depth == 0:
-                    self._flush()
+                    self.flush()
 
     def _changed(self, event: Any) -> None:
         if not isinstance(event, DocumentPatchedEvent):
             return
-        with self._lock:
+        with self.lock:
             self._pending.append(event)
             if self._depth == 0:
-                self._flush()
+                self.flush()
 
     def redraw(self) -> None:
         """Let every page ask for the whole document, where nearly all of it changes in the present batch."""
         self._redraw = True
 
-    def _flush(self) -> None:
-        events, self._pending = self._pending, []
-        redraw, self._redraw = self._redraw, False
-        if not self._pages:
-            return  # the next page gets the whole document
-        if redraw:
-            self._send({"kind": "refresh"})
-            return
-        for group in patches_by_origin(events, self.document):
-            self._send_patch(group)
+    def flush(self) -> None:
+        """Send what has changed so far; within a batch too, where what is sent by another way is to come after it."""
+        with self.lock:
+            events, self._pending = self._pending, []
+            redraw, self._redraw = self._redraw, False
+            if not self._pages:
+                return  # the next page gets the whole document
+            if redraw:
+                self._send({"kind": "refresh"})
+                return
+            for group in patches_by_origin(events, self.document):
+                self._send_patch(group)
 
     def _send_patch(self, group: Patch) -> None:
         models = self.document.models
@@ -283,7 +290,7 @@ class Bridge:
         )
 
     def _send(self, message: Message, buffers: Sequence[Any] = ()) -> None:
-        with self._lock:
+        with self.lock:
             if self._pages:
                 for carrier in self._carriers:
                     carrier.send_message(message, buffers)
@@ -314,8 +321,8 @@ class Bridge:
                 self._send({"kind": "done", "page": message["page"], "sequence": message["sequence"]})
 
     def _on_open(self, message: Message) -> None:
-        with self._lock:
-            self._flush()  # what the older pages still lack; the new one gets it with the document
+        with self.lock:
+            self.flush()  # what the older pages still lack; the new one gets it with the document
             self._pages.add(str(message["page"]))
             serialized = self.document.to_json()
             head = {"kind": "document", "page": message["page"], **self._key_table()}

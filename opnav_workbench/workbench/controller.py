@@ -266,6 +266,7 @@ class WorkbenchController:
             self._show_session(item, item.session)
         else:
             self._blank(f"opening {item.name}")
+            self.refresh()  # told at once
             self.runner.run(
                 f"opening {item.name}",
                 lambda: self._open(item),
@@ -448,7 +449,7 @@ class WorkbenchController:
         if session is not None:
             picture = session.context.picture
             utc = session.inputs.utc.removesuffix(".000")  # the rest has room in a narrow window then
-            facts = f"{session.context.camera.name}, {utc} UTC, {picture.exposure_s:g} s"
+            facts = f"{session.context.camera.name}, {picture.exposure_s:g} s, {utc} UTC"
         return render(
             "header.html",
             actions=self.registry,

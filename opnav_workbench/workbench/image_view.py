@@ -11,7 +11,9 @@ never asks Python.
 
 import itertools
 import json
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -47,6 +49,7 @@ from opnav_workbench.workbench.view_models import (
     THEMES,
     PictureModels,
     ViewState,
+    body_label_columns,
     label_columns,
     layer_columns,
     lines_columns,
@@ -215,7 +218,6 @@ def _add_model(model: FloatArray, first_px: tuple[int, int], part: FloatArray) -
 
 SHOWN_AT_FIRST = ["predicted", "observed", "magnitudes", "bodies", "compass"]
 AHEAD_BYTES = 160_000_000  # of neighbors' pixels in a page: two of 4096 x 4096
-POLE_LABEL_PX = -14.0  # screen px from a pole to its N: the letter's width and a gap
 EMPTY_SIZE = 512  # a view without a session shows a blank square
 # Of a strip as it is shown: width over height, and what is shown over its lines.
 STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
@@ -292,6 +294,15 @@ class ImageView:
             return picture_png(np.zeros((EMPTY_SIZE, EMPTY_SIZE)), 0.0, 1.0)
         low, high = self.images.limits(DEFAULT_LIMITS)
         return picture_png(self.session.context.picture.image_dn, low, high)
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held while the picture is changed, and while a click or a drag is answered."""
+        return self.bridge.lock
+
+    def batch(self) -> AbstractContextManager[None]:
+        """Let the changes of the block reach the pages together."""
+        return self.bridge.batch()
 
     # -- what is shown -----------------------------------------------------------------------------------------
 
@@ -406,12 +417,7 @@ class ImageView:
         self.models.fill("pole", lines_columns([m.pole_px for m in marks]))
         points = np.array([m.center_px for m in marks if not len(m.predicted_limb_px)]).reshape(-1, 2)
         self.models.fill("body_point", {"pixel": points[:, 0], "line": points[:, 1]})
-        places = [m.center_px for m in marks] + [m.pole_px[-1] for m in marks if len(m.pole_px)]
-        names = [m.name for m in marks] + ["N" for m in marks if len(m.pole_px)]
-        # Neighbours stay apart; a pole's N stands left of it, since its body's name may begin there.
-        above = [-6.0 if number % 2 == 0 else 16.0 for number in range(len(names))]
-        beside = [9.0 if number < len(marks) else POLE_LABEL_PX for number in range(len(names))]
-        self.models.fill("body_labels", label_columns(places, names, (beside, above)))
+        self.models.fill("body_labels", body_label_columns(marks, session.context.picture.image_dn.shape))
         self.state.bodies = json.dumps([m.as_page_values() for m in marks])
         if self.state.body not in [m.name for m in marks]:
             self.state.body = marks[0].name if marks else ""

@@ -264,7 +264,7 @@ def _step_px(session: ImageSession, start: FloatArray, along: FloatArray) -> tup
     """Direction in the picture of a step across the sky; None where there is none."""
     across = along - (along @ start) * start
     length = np.linalg.norm(across)
-    if length < 1e-6 * np.linalg.norm(along):
+    if length <= 1e-6 * np.linalg.norm(along):  # nor has north at the pole
         return None
     ends = np.stack([start, start + STEP_RAD * across / length])
     ends /= np.linalg.norm(ends, axis=1, keepdims=True)

@@ -189,7 +189,7 @@ class StepRunner:
         self.examine_each = False
         self.search = StarSearch()
         self.model = "euler"
-        self.lock = threading.RLock()
+        self.lock = viewer.lock
         self.running: RunningStep | None = None
         self.line: deque[Callable[[], None]] = deque()
         self.repaint: Callable[[], None] = lambda: None
@@ -324,11 +324,15 @@ class StepRunner:
         """Paint everything once when the block is through; what the status line tells is then shown already."""
         self.repainting += 1
         try:
-            yield
+            with self.viewer.batch():
+                try:
+                    yield
+                finally:
+                    self.repainting -= 1
+                    if not self.repainting:
+                        self.repaint()
         finally:
-            self.repainting -= 1
             if not self.repainting:
-                self.repaint()
                 self._begin_follower()
 
     @contextmanager
@@ -396,7 +400,7 @@ class StepRunner:
         """One line on the stars found last."""
         state = self.session.state
         used, on_detector = int(state.mask("used").sum()), int((~state.mask("off_detector")).sum())
-        return f"{used} of {on_detector} stars found. {' '.join(state.notes.get('stars', ()))}".strip()
+        return "; ".join([f"{used} of {on_detector} stars found", *state.notes.get("stars", ())])
 
     def decide(self, decision: Callable[[], object], done: str | Callable[[], str]) -> None:
         """Take a decision on stars, shown at once; where a pointing stands, solve it again with what is then in use."""

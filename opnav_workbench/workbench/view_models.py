@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.workbench.actions import VIEW_ACTIONS
-from opnav_workbench.workbench.overlays import Columns
+from opnav_workbench.workbench.overlays import BodyMarks, Columns
 from opnav_workbench.workbench.stretch import COLORMAPS, LIMITS, STRETCHES
 from opnav_workbench.workbench.viewer import Layer
 
@@ -167,6 +167,9 @@ def page_setup() -> dict[str, Any]:
 FOCUS_WIDTH, LINE_WIDTH = 3.0, 1.5  # screen px
 RIGHT_EDGE, TOP_EDGE = 0.91, 0.03  # shares of the picture beyond which it would cut a text
 LABEL_BELOW_PX = 16.0  # screen px
+# Screen px to the left lower corner of a body's name, from its limb below and above, or from the mark of a point; and to
+# that of a pole's letter, whose middle is at the pole then.
+BELOW_PX, ABOVE_PX, BESIDE_PX, POLE_PX = (-8.0, 18.0), (-8.0, -5.0), (12.0, 5.0), (-4.0, 5.0)
 
 
 def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Columns]:
@@ -224,6 +227,23 @@ def label_columns(
         "y_offset": down,
         "side": ["right" if one else "left" for one in turned],
     }
+
+
+def body_label_columns(marks: Sequence[BodyMarks], shape: tuple[int, ...]) -> Columns:
+    """Return the columns of bodies' names and of their poles' letters, of a picture (n_line, n_pixel).
+
+    A letter stands at the end of its pole, the name beyond the limb on the other side: of no size do they lie on each other.
+    """
+    poles = [mark.pole_px[-1] for mark in marks if len(mark.pole_px)]
+    up = [len(mark.pole_px) > 0 and mark.pole_px[-1][1] < mark.center_px[1] for mark in marks]
+    sides = np.where(up, 1.0, -1.0) * [mark.radius_px for mark in marks]
+    limbs = np.reshape([mark.center_px for mark in marks], (-1, 2)) + np.stack([0.0 * sides, sides], axis=1)
+    last = np.array(shape[::-1]) - 1.0
+    offsets = [BELOW_PX if one else ABOVE_PX for one in up]
+    offsets = [o if len(m.predicted_limb_px) else BESIDE_PX for o, m in zip(offsets, marks, strict=True)]
+    right, down = np.reshape([*offsets, *[POLE_PX] * len(poles)], (-1, 2)).T.tolist()
+    names = [mark.name for mark in marks] + ["N"] * len(poles)
+    return label_columns([*np.clip(limbs, 0.0, last), *poles], names, (right, down), shape[::-1])
 
 
 def ring_columns(place_px: ArrayLike | None, radius_px: float) -> Columns:

@@ -1,6 +1,8 @@
 """What the workbench asks of the picture: a small protocol, so that a fake picture serves the tests."""
 
+import threading
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from typing import Protocol
 
 from opnav_workbench.arrays import FloatArray
@@ -45,6 +47,13 @@ class Viewer(Protocol):
     @property
     def actions(self) -> Sequence[Action]:
         """Its own actions, for the registry."""
+
+    @property
+    def lock(self) -> threading.RLock:
+        """Held while the picture is changed and while clicks are reported; the workbench's steps hold no other."""
+
+    def batch(self) -> AbstractContextManager[None]:
+        """Let the changes of the block reach the pages together."""
 
     def show(self, session: ImageSession) -> None:
         """Show another session's picture."""

@@ -347,13 +347,35 @@ def test_a_kernel_that_nothing_is_heard_of_is_waited_for(bench):
     answered(page)
 
 
+@pytest.mark.parametrize("waits", ["not", "to type", "to end"])  # for the field, which the key brings
+def test_what_is_typed_after_the_notes_key_is_the_note(bench, waits):
+    """No letter of it is a command: `c` takes another color map, `r` rejects a star."""
+    page, words = bench.page, f"carrier {waits}"
+    show_tab(page, "4")
+    field = page.locator(".ow-panel input[data-take]")
+    before = page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').colormap")
+    page.keyboard.press("z")
+    if waits == "to type":
+        field.wait_for()
+    page.keyboard.type(words)
+    if waits == "to end":
+        field.wait_for()
+    page.keyboard.press("Enter")
+    page.locator(".ow-panel .observables li", has_text=words).wait_for()
+    page.keyboard.press("z")
+    page.wait_for_function("() => document.activeElement?.dataset.take !== undefined")
+    page.keyboard.press("Escape")
+    field.wait_for(state="detached")
+    assert page.evaluate("() => Bokeh.documents.at(-1).get_model_by_name('opnav-state').colormap") == before
+
+
 def test_a_kernel_that_ended_says_so_and_starts_again(bench):
     page = bench.page
     page.evaluate("() => { void jupyterapp.shell.currentWidget.sessionContext.session.kernel.restart() }")
     grave = page.locator(".ow-grave")
     grave.wait_for()
     assert "Every decision is on disk" in grave.inner_text()
-    grave.get_by_role("button").click()
+    page.keyboard.press("Enter")  # it has the focus
     page.locator(".ow-dead").wait_for(state="detached")
     page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
     said(page, "lorri_4x4.fit")

@@ -1,5 +1,6 @@
 """A workbench without a browser: a fake picture, and the demo's pictures."""
 
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ class FakeViewer:
     actions = ()
 
     def __init__(self) -> None:
+        self.lock = threading.RLock()
         self.shown: list[ImageSession] = []
         self.layers: dict[str, Any] = {}
         self.circled: Any = None
@@ -29,6 +31,9 @@ class FakeViewer:
         self.message = ""
         self.looked_at: Any = None
         self.in_sight: Callable[[Any], bool] = lambda _: False
+
+    def batch(self) -> Any:
+        return self.lock
 
     def prepare(self, session: ImageSession) -> None:
         pass

@@ -11,7 +11,7 @@ from opnav_workbench.workbench.actions import VIEW_ACTIONS, WORKBENCH_ACTIONS, A
 from opnav_workbench.workbench.image_view import ImageView
 from opnav_workbench.workbench.overlays import BodyMarks
 from opnav_workbench.workbench.plots import FONT_PX
-from opnav_workbench.workbench.view_models import THEMES
+from opnav_workbench.workbench.view_models import THEMES, body_label_columns
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
 
@@ -48,19 +48,19 @@ def test_what_is_in_sight_stays_and_what_is_not_is_brought_into_the_middle(view)
     assert view.models.x_range.start == pytest.approx(0.6 * size)
 
 
-def test_a_poles_letter_stands_beside_its_bodys_name(view, monkeypatch):
-    """N ends left of a pole, a name begins right of a center: of a small body they do not lie on each other."""
+@pytest.mark.parametrize("step", [(1.0, 1.0), (1.0, 0.0), (-1.0, -1.0), (1.0, -2.0)])
+def test_a_poles_letter_stands_beside_its_bodys_name(step):
+    """The name is beyond the limb on the other side: of a small body, too, they do not lie on each other."""
     place = np.array([50.0, 50.0])
     limb = np.add(place, [[3.0, 0.0], [0.0, 3.0], [-3.0, 0.0]])
-    pole = np.array([place, place + 1.0])
+    pole = np.array([place, place + step])
     small = BodyMarks("PLUTO", place, 3.0, True, limb, limb, np.empty((0, 2)), pole)
-    monkeypatch.setattr("opnav_workbench.workbench.image_view.body_marks", lambda _: [small])
-    view.refresh()
-    columns = view.models.sources["body_labels"].data
-    ends = dict(zip(columns["text"], zip(columns["x_offset"], columns["side"], strict=True), strict=True))
-    assert ends["PLUTO"] == (9.0, "left")
-    assert ends["N"][0] + FONT_PX < ends["PLUTO"][0] - 1.0  # a letter is not wider than its font is high
-    assert ends["N"][1] == "left"
+    columns = body_label_columns([small], (100, 100))
+    name, letter = np.add(
+        columns["line"], columns["y_offset"]
+    )  # lower edges, a pixel of the picture one of the screen
+    assert columns["text"] == ["PLUTO", "N"]
+    assert abs(name - letter) > FONT_PX - 1.0  # a letter of capitals is lower than its font
 
 
 @pytest.mark.slow

@@ -12,8 +12,10 @@ from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session import context as session_context
 from opnav_workbench.simulation import PictureScenario, simulate
+from opnav_workbench.workbench.app import Workbench
 from opnav_workbench.workbench.controller import WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
+from opnav_workbench.workbench.image_view import ImageView
 
 CAUSE = "third.fit: the header gives no time; add one."
 
@@ -216,3 +218,43 @@ def test_a_decision_is_painted_before_the_pointing_follows_it(star_hands):
     assert "pointing: " in star_hands.said  # both are told in the end
     star_hands.press("Ctrl+z")
     assert "accept_stars" not in star_hands.steps  # one undo takes both back
+
+
+def test_a_click_while_an_outcome_is_drawn_locks_nothing(solved_sessions, kernels):
+    """A click waits for what a step's end changes, and that for no click."""
+    view = ImageView()
+    bench = WorkbenchController(ImageQueue.of_sessions(solved_sessions[:1]), view)
+    bench.runner.wait()
+    drawing, clicked = threading.Event(), threading.Event()
+    tapped = bench.current_tab.tapped
+    bench.current_tab.tapped = lambda *place: (clicked.set(), tapped(*place))
+
+    def step_ends():
+        with bench.runner.handling():
+            drawing.set()
+            assert not clicked.wait(0.2)  # the click is on its way meanwhile
+            view.circle((5.0, 5.0), 2.0)
+
+    def click():
+        assert drawing.wait(5.0)
+        view.bridge.receive({"kind": "event", "page": "one", "name": "tap", "values": [5.0, 5.0]})
+
+    threads = [threading.Thread(target=task, daemon=True) for task in (step_ends, click)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join(5.0)
+    assert clicked.is_set()
+
+
+def test_the_next_picture_is_one_message_and_then_told(solved_sessions, kernels):
+    bench = Workbench(ImageQueue.of_sessions(solved_sessions))
+    bench.controller.runner.wait()
+    until(lambda: not bench.controller._works_ahead)
+    sent = []
+    bench.view.bridge.attach(SimpleNamespace(send_message=lambda message, _: sent.append(message["kind"])))
+    bench.view.bridge.receive({"kind": "open", "page": "one"})
+    bench.regions["header"].observe(lambda _: sent.append("header"), "html")
+    sent.clear()
+    press(bench.controller, "PageDown")
+    assert sent == ["refresh", "header"]  # a strip after a frame: the page is laid out anew

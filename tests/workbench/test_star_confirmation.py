@@ -111,7 +111,7 @@ def test_both_tabs_find_stars_with_the_radius_and_template_chosen(star_hands):
         assert found.step == "find_stars"
         assert found.parameters["initial"] == "cross_correlation"
         assert found.parameters["search_radius_px"] == pytest.approx(6.0)
-        assert star_hands.said.startswith("15 of 15 stars found.")
+        assert star_hands.said.startswith("15 of 15 stars found")
 
 
 def test_click_goes_to_a_star_and_places_one(star_hands):

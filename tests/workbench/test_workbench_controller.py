@@ -5,13 +5,17 @@ import shutil
 import threading
 import time
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import ImageSession
+from opnav_workbench.workbench import bodies_tab
 from opnav_workbench.workbench.controller import WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
+from opnav_workbench.workbench.overlays import BodyMarks
 from opnav_workbench.workbench.status_line import LOG_FILE, Status, plain_words
 
 VOID = {"input", "img", "path", "circle", "rect", "polyline", "br", "option"}
@@ -281,3 +285,17 @@ def test_items_of_a_queue_open_once(demo_truths, kernels):
     queue = ImageQueue([QueueItem("a", opener)])
     assert queue.session is queue.session
     assert len(opened) == 1
+
+
+def test_a_body_off_the_detector_is_told_and_not_gone_to(star_hands, monkeypatch):
+    far = np.array([-500.0, 2000.0])
+    mark = BodyMarks("PLUTO", far, 5.0, False, *[np.empty((0, 2))] * 4)
+    monkeypatch.setattr(bodies_tab, "body_marks", lambda _: [mark])
+    monkeypatch.setattr(
+        bodies_tab, "predicted_body", lambda *_: SimpleNamespace(pixel_line=far, diameter_px=10.0)
+    )
+    star_hands.send("add_body", value="PLUTO")
+    star_hands.viewer.looked_at = None
+    star_hands.press("3")
+    assert star_hands.viewer.looked_at is None
+    assert "off the detector" in star_hands.panel

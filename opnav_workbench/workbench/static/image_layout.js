@@ -178,7 +178,8 @@ class ImageLayout {
   // How much of the picture's pixels is here, 0..1; undefined: all.
   arriving(share) {
     this.coming.hidden = share === undefined;
-    this.coming.textContent = `full depth is on its way: ${Math.round(100 * (share ?? 1))} %`;
+    const what = this.view.images.data?.pixels?.coarse ? "full depth" : "the picture";
+    this.coming.textContent = `${what} is on its way: ${Math.round(100 * (share ?? 1))} %`;
   }
 
   // Shows the state in menus and switches.
@@ -230,4 +231,4 @@ class ImageLayout {
   }
 }
 
-const compact = (number) => (number >= 10000 ? number.toExponential(0) : String(Number(number.toPrecision(3))));
+const compact = (number) => (number >= 10000 ? `${Number((number / 1000).toPrecision(3))}k` : String(Number(number.toPrecision(3))));

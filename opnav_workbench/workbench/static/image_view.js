@@ -21,7 +21,8 @@ class ImagePage extends ImageCursor {
   constructor(page, doc, state, host) {
     super();
     Object.assign(this, { page, doc, state, signal: page.signal, blinking: false, mips: new WeakMap(), toMake: [] });
-    this.model = (name) => doc.get_model_by_name(name);
+    const models = new Map(); // BokehJS looks through all of them each time
+    this.model = (name) => models.get(name) ?? models.set(name, doc.get_model_by_name(name)).get(name);
     this.setup = JSON.parse((this.setupText = state.setup));
     this.images = JSON.parse(state.images);
     this.layout = new ImageLayout(this, host);
@@ -496,7 +497,8 @@ class ImagePage extends ImageCursor {
   }
 }
 
-const whenIdle = (task) => (globalThis.requestIdleCallback ?? ((late) => setTimeout(late, 50)))(task);
+// Tasks of a millisecond one after the other, a key between any two of them; an idle callback comes but every 50 ms.
+const whenIdle = (task) => (globalThis.scheduler?.postTask ? scheduler.postTask(task, { priority: "background" }) : setTimeout(task, 0));
 
 // The page's hooks: see bridge.js.
 function prepareViews(page, doc) {

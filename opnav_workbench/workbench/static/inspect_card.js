@@ -242,11 +242,12 @@ class InspectCard {
     this.plot.draw(this.width, { x: [0, 1.5 * found.radius_px], y, xLabel: "px from the center", yLabel: "DN above the sky", dots: [["data", radii, values]], curves: [["edge", [found.radius_px, found.radius_px], y], ["zero", [0, 1.5 * found.radius_px], [0, 0]], ...half.map(([name, xs]) => [name, xs, y])] });
     const arcsec = this.view.degreesPerPixel([found.pixel, found.line]) * 3600;
     const wide = found.fwhm_px === null ? "not told" : `${found.fwhm_px.toFixed(2)} px${arcsec ? ` = ${(found.fwhm_px * arcsec).toPrecision(3)}″` : ""}`;
+    const near = (dn) => dnShort(dn, found.noise_dn);
     this.tell([
       ["center", found.found ? placeText([found.pixel, found.line], 3) : `${placeText([found.pixel, found.line])}; no star in it`],
-      ["sum", `${dnShort(found.sum_dn)} ± ${dnShort(found.sigma_dn)} DN (sky noise), r ${found.radius_px.toFixed(1)} px`],
+      ["sum", `${dnShort(found.sum_dn, found.sigma_dn)} ± ${dnShort(found.sigma_dn, found.sigma_dn)} DN (sky noise), r ${found.radius_px.toFixed(1)} px`],
       ["FWHM", wide],
-      ["peak, sky", `${dnShort(found.peak_dn)}, ${dnShort(found.sky_dn)} ± ${dnShort(found.noise_dn)} DN`],
+      ["peak, sky", `${near(found.peak_dn)}, ${near(found.sky_dn)} ± ${near(found.noise_dn)} DN`],
       ...(found.n_missing ? [["without", `${found.n_missing} pixels that are bad, saturated or off`]] : []),
     ]);
   }
@@ -273,4 +274,9 @@ class InspectCard {
 
 const placeText = ([pixel, line], digits = 2) => `pixel ${pixel.toFixed(digits)}, line ${line.toFixed(digits)}`;
 const signed = (value) => (value < 0 ? "−" : "+") + Math.abs(value).toFixed(2);
-const dnShort = (dn) => (dn === null || dn === undefined ? "–" : String(Number(dn.toPrecision(Math.abs(dn) >= 1e5 ? 7 : 5))));
+// Of what has noise no more than a hundredth of it is told.
+const dnShort = (dn, noise) => {
+  if (dn === null || dn === undefined) return "–";
+  const rounded = noise > 0 ? dn.toFixed(Math.min(Math.max(2 - Math.floor(Math.log10(noise)), 0), 20)) : dn.toPrecision(Math.abs(dn) >= 1e5 ? 7 : 5);
+  return String(Number(rounded));
+};

@@ -42,11 +42,11 @@ class PixelStore {
         this.held.get(token)?.missing.push(first);
       }
     for (const spec of this.list) {
-      const one = this.held.get(spec.token) ?? this.begin(spec);
-      while (one.missing.length) {
+      while (this.held.get(spec.token)?.missing.length !== 0) {
         if (this.asked.size >= (this.urgent.has(spec.token) ? ON_THE_WAY : 1)) return;
         const wait = this.urgent.has(spec.token) ? 0 : this.touched + HANDS_OFF_MS - performance.now();
         if (wait > 0) return this.later(wait);
+        const one = this.held.get(spec.token) ?? this.begin(spec); // only now: room for a picture takes milliseconds
         const first = one.missing.shift();
         this.asked.set(`${spec.token}:${first}`, { token: spec.token, first, since: performance.now() });
         this.ask({ token: spec.token, first, count: PIECE_BYTES });

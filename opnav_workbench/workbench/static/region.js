@@ -81,6 +81,7 @@ class Life {
     again.addEventListener("click", () => document.dispatchEvent(new CustomEvent("opnav-start-again")));
     grave.append(document.createElement("p"), alone ? again : "Run the notebook's cells again (Run > Run All Cells).");
     this.root.append(grave);
+    if (alone) again.focus({ preventScroll: true });
   }
 }
 
@@ -208,17 +209,27 @@ function adopt(root, post) {
     "keydown",
     (event) => {
       if (isTyping(event)) {
-        if (event.key === "Escape") root.focus({ preventScroll: true });
+        if (event.key !== "Escape") return;
+        root.focus({ preventScroll: true });
+        if (event.target.dataset.take !== undefined) post({ act: "key", arg: "Escape" }); // its menu is closed, too
         return;
       }
       const name = keyName(event);
-      const { keys, own, alone, room } = root.owKeymap ?? { keys: [], own: [], alone: [], room: {} };
+      if (root.owTyped !== undefined && (event.key.length === 1 || event.key === "Enter")) {
+        root.owTyped += event.key.length === 1 ? event.key : "\n"; // for the field that is on its way, and no command
+        event.preventDefault();
+        event.stopPropagation();
+        return;
+      }
+      const { keys, own, alone, room, typing } = root.owKeymap ?? { keys: [], own: [], alone: [], room: {}, typing: [] };
       if (!keys.includes(name)) return;
       if (own.includes(name) && event.target.closest(".opnav-picture")) return; // the picture is quicker by itself
       event.preventDefault();
       event.stopPropagation();
       if (alone.includes(name) && pictureTakes(root, name)) return;
-      if (!root.owRoom?.do(room[name])) post({ act: "key", arg: name });
+      if (root.owRoom?.do(room[name])) return;
+      post({ act: "key", arg: name });
+      if (typing.includes(name) && !root.querySelector("[data-take]")) root.owTyped = "";
     },
     true,
   );
@@ -332,8 +343,19 @@ function render({ model, el }) {
     morph(body, wanted);
     if (lost && !root().contains(document.activeElement)) root().focus({ preventScroll: true });
     count();
+    take();
     body.querySelector("[data-reveal]")?.scrollIntoView({ block: "nearest", inline: "nearest" });
     el.dispatchEvent(new CustomEvent("ow-painted", { bubbles: true }));
+  };
+  // The field that this page's key has asked for, with what was typed meanwhile.
+  const take = () => {
+    const field = body.querySelector("[data-take]");
+    if (!field || root()?.owTyped === undefined) return;
+    const [text, ...ended] = root().owTyped.split("\n");
+    root().owTyped = undefined;
+    field.focus();
+    if (text) document.execCommand("insertText", false, text); // as if it were typed: the field tells of it when it is left
+    if (ended.length) root().focus({ preventScroll: true });
   };
   // A class of the root's: with `:has` the browser would look at all the workbench at each change of anything in it.
   const count = () => {
@@ -343,11 +365,15 @@ function render({ model, el }) {
   const keys = () => {
     const shell = root();
     if (shell && model.get("keymap").length)
-      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), alone: model.get("picture_alone"), room: model.get("page_keys") };
+      shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), alone: model.get("picture_alone"), room: model.get("page_keys"), typing: model.get("typing_keys") };
   };
   model.on("change:html", paint);
   model.on("change:keymap", keys);
-  model.on("msg:custom", (message) => (message.beat ? life()?.beat() : life()?.answer()));
+  model.on("msg:custom", (message) => {
+    if (message.beat) return life()?.beat();
+    if (root()?.owKeymap?.typing.includes(message.key)) root().owTyped = undefined; // it is answered: no field has come
+    life()?.answer();
+  });
   model.on("comm:close", dead);
   model.on("comm_live_update", dead);
   listenForClicks(el, post);

@@ -69,18 +69,20 @@ function fillSheet() {
 function adoptSheet(node, signal) {
   fillSheet();
   const seen = new WeakSet();
-  const visit = (root) => {
-    for (const element of root.querySelectorAll("*")) {
-      const shadow = element.shadowRoot;
-      if (!shadow || seen.has(shadow)) continue;
-      seen.add(shadow);
-      shadow.adoptedStyleSheets = [...shadow.adoptedStyleSheets, sheet];
-      watch(shadow);
-    }
+  const visit = (element) => {
+    const shadow = element.shadowRoot;
+    if (!shadow || seen.has(shadow)) return;
+    seen.add(shadow);
+    shadow.adoptedStyleSheets = [...shadow.adoptedStyleSheets, sheet];
+    watch(shadow);
+  };
+  const visitAll = (root) => {
+    if (root.nodeType === Node.ELEMENT_NODE) visit(root);
+    root.querySelectorAll?.("*").forEach(visit);
   };
   const watch = (root) => {
-    visit(root);
-    const observer = new MutationObserver(() => visit(root));
+    visitAll(root);
+    const observer = new MutationObserver((records) => records.forEach(({ addedNodes }) => addedNodes.forEach(visitAll)));
     observer.observe(root, { childList: true, subtree: true });
     signal.addEventListener("abort", () => observer.disconnect());
   };
