@@ -140,7 +140,7 @@ def learn_correction(
     layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
     if kept is not None:
-        correction = prior_correction(psf.sigma_px, kept)
+        correction = prior_correction(psf, settings.size, kept)
     for step in range(PASSES):
         learned = step > 0 or kept is not None
         normal = _normal_equations(pixels, known, psf, correction, usual, settings, learned)
@@ -157,12 +157,12 @@ def learn_correction(
     return correction
 
 
-def prior_correction(sigma_px: float, kept: PsfEvidence) -> PsfCorrection:
-    """Return the correction that other pictures teach, with its covariance."""
-    variance = np.square(PRIOR_AMPLITUDES)
+def prior_correction(psf: ShapePrior, size: int, kept: PsfEvidence) -> PsfCorrection:
+    """Return the correction of the Gaussian `psf` that other pictures teach, with its covariance."""
+    usual, variance = _usual_modes(psf, size), np.square(PRIOR_AMPLITUDES)
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
-    return PsfCorrection(sigma_px, amplitudes, root)
+    return PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root)
 
 
 def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
@@ -172,12 +172,13 @@ def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
 
 
 def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:
-    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift or more flux."""
+    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift, more flux or a level."""
     center = phases_of_a_pixel()
     first = np.full(center.shape, -(size // 2.0))
     gaussian = box_integrals(center, np.broadcast_to(psf.mean, (len(center), 3)), first, size)
     shares = mode_shares(psf.sigma_px, center, first, size).reshape(len(center) * size**2, -1)
-    columns = [shares.T @ part.ravel() for part in (gaussian.value, gaussian.d_pixel, gaussian.d_line)]
+    fitted = (gaussian.value, gaussian.d_pixel, gaussian.d_line, np.ones_like(gaussian.value))
+    columns = [shares.T @ part.ravel() for part in fitted]
     taken, _ = np.linalg.qr(np.stack(columns, axis=1))
     return np.asarray(np.eye(len(taken)) - taken @ taken.T)
 

@@ -334,8 +334,10 @@ def _common_shape(psf: ShapePrior) -> ShapePrior:
 
 
 def _shared_shape(log_scale: float, ellipticity: FloatArray, evidence: PsfEvidence | None) -> ShapePrior:
-    correction = None if evidence is None else prior_correction(float(np.exp(log_scale)), evidence)
-    return ShapePrior(log_scale, COMMON_SHAPE_SIGMA, ellipticity, COMMON_SHAPE_SIGMA, correction)
+    shape = ShapePrior(log_scale, COMMON_SHAPE_SIGMA, ellipticity, COMMON_SHAPE_SIGMA)
+    if evidence is None:
+        return shape
+    return replace(shape, correction=prior_correction(shape, default_box_px(shape.sigma_px), evidence))
 
 
 def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray) -> bool:
