@@ -44,6 +44,10 @@ PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
+# Of log scale and ellipticity from star to star, alike likely beforehand: from what no star shows to the largest that stars of
+# different colors have; a star beside its share of these is odd (a close pair) by the last one.
+SHAPE_SCATTERS = (0.001, 0.0015, 0.0022, 0.0033, 0.005, 0.0075, 0.011, 0.016, 0.024)
+ODD_SHAPE, ODD_SHARE = 0.1, 0.05
 FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL = range(7)
 CENTER = slice(PIXEL, SCALE)
 
@@ -152,7 +156,12 @@ def learn_correction(
         known_of_it = own if kept is None else PsfEvidence.total([own, kept])
         amplitudes, root, variance = _modes_with_variances(known_of_it, variance)
         shared = np.concatenate([amplitudes, back(amplitudes)])
-        correction = PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows))
+        if psf.sigma_log_scale <= SHAPE_SCATTERS[-1]:  # one PSF for all: how far do they differ from it?
+            scatter = _shape_scatter(normal, shared, psf)
+            psf = replace(psf, sigma_log_scale=scatter, sigma_ellipticity=scatter)
+        correction = PsfCorrection(
+            psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows), psf.sigma_log_scale
+        )
         known = known + _limited(normal.own_steps(shared))
     return correction
 
@@ -172,13 +181,12 @@ def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
 
 
 def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:
-    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift, more flux or a level."""
+    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift or more flux."""
     center = phases_of_a_pixel()
     first = np.full(center.shape, -(size // 2.0))
     gaussian = box_integrals(center, np.broadcast_to(psf.mean, (len(center), 3)), first, size)
     shares = mode_shares(psf.sigma_px, center, first, size).reshape(len(center) * size**2, -1)
-    fitted = (gaussian.value, gaussian.d_pixel, gaussian.d_line, np.ones_like(gaussian.value))
-    columns = [shares.T @ part.ravel() for part in fitted]
+    columns = [shares.T @ part.ravel() for part in (gaussian.value, gaussian.d_pixel, gaussian.d_line)]
     taken, _ = np.linalg.qr(np.stack(columns, axis=1))
     return np.asarray(np.eye(len(taken)) - taken @ taken.T)
 
@@ -300,6 +308,25 @@ def _modes_with_variances(
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
         variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
     return amplitudes, root, variance
+
+
+def _shape_scatter(normal: _Normal, shared: FloatArray, psf: ShapePrior) -> float:
+    """Scatter of log scale and ellipticity from star to star that is to be expected from how these stars differ."""
+    n = len(normal.own)
+    right = normal.own_right - normal.mixed @ shared
+    shape, rest = [SCALE, E1, E2], [FLUX, PIXEL, LINE, LEVEL]
+    own = normal.own - np.diag([0.0, 0.0, 0.0, *psf.information, 0.0])
+    across = own[:, rest][:, :, shape]
+    known = np.concatenate([across, right[:, rest, None]], axis=2)
+    solved = np.swapaxes(across, 1, 2) @ np.linalg.solve(own[:, rest][:, :, rest], known)
+    value, vector = np.linalg.eigh(own[:, shape][:, :, shape] - solved[:, :, :3])
+    pull = (np.swapaxes(vector, 1, 2) @ (right[:, shape] - solved[:, :, 3])[:, :, None])[:, :, 0]
+    variance = np.square([*SHAPE_SCATTERS, ODD_SHAPE])[:, None, None]
+    spread = 1.0 + variance * np.maximum(value, 0.0)
+    told = 0.5 * np.sum(variance * pull**2 / spread - np.log(spread), axis=2)  # (scatters + 1, n)
+    each = np.logaddexp(np.log1p(-ODD_SHARE) + told[:-1], np.log(ODD_SHARE) + told[-1]).reshape(-1, n)
+    total = each.sum(axis=1)
+    return float(np.average(SHAPE_SCATTERS, weights=np.exp(total - total.max())))
 
 
 def _limited(steps: FloatArray) -> FloatArray:

@@ -236,6 +236,9 @@ class _Frame:
     ) -> tuple[StarCenters, ShapePrior]:
         correction = learn_correction(self.pixels, before, teachers, shape, self.settings, self.places, kept)
         learned = replace(shape, correction=correction)
+        if correction.shape_scatter is not None:
+            scatter = correction.shape_scatter
+            learned = replace(learned, sigma_log_scale=scatter, sigma_ellipticity=scatter)
         return self._with_error(learned, self.fit(learned, 0.0)), learned
 
     def _with_error(self, psf: ShapePrior, centers: StarCenters) -> StarCenters:
