@@ -175,10 +175,12 @@ def fit_stars(
     if kept is None:
         return frame.alone(prior)
     together = frame.with_others(kept)
-    if not _misfit(together[0], _teachers(together[0])):
+    told = _teachers(together[0])
+    if len(told) > 0 and not _misfit(together[0], told):
         return together
     alone = frame.alone(prior)
-    return alone if _describes_better(alone[0], together[0]) else together
+    spoiled = len(_teachers(alone[0])) > 2 * len(told)  # of a PSF this wrong hardly a fit comes to an end
+    return alone if spoiled or _describes_better(alone[0], together[0]) else together
 
 
 @dataclass(frozen=True, slots=True)
