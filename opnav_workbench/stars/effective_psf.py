@@ -3,7 +3,7 @@
 An undersampled star falls on four or five pixels, which tell its flux, place and level, and hardly its shape: taken for
 a Gaussian, its center errs with the sub-pixel phase, and no residual shows it. The stars of a picture share one PSF and
 fall at different phases; all of them together determine a correction to the Gaussian (`psf.correction`), linear in
-its modes. Every star's own flux, center, level and a small scatter of its shape are eliminated from the normal equations,
+its modes. Every star's own flux, center, level and shape, which scatters as the stars tell, are eliminated from the normal equations,
 so that the correction has its true covariance; the variance of each layer of modes is estimated with it (MacKay 1992).
 Where the catalog's places are known they help: a shift, turn and scale of all of them are free.
 
@@ -44,8 +44,8 @@ PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
-# Of log scale and ellipticity from star to star, alike likely beforehand: from what no star shows to the largest that stars of
-# different colors have; a star beside its share of these is odd (a close pair) by the last one.
+# Of log scale and ellipticity from star to star, all alike likely: from what no star can show to more than colors make.
+# A few are odd: close pairs.
 SHAPE_SCATTERS = (0.001, 0.0015, 0.0022, 0.0033, 0.005, 0.0075, 0.011, 0.016, 0.024)
 ODD_SHAPE, ODD_SHARE = 0.1, 0.05
 FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL = range(7)
