@@ -3,8 +3,8 @@
 An undersampled star falls on four or five pixels, which tell its flux, place and level, and hardly its shape: taken for
 a Gaussian, its center errs with the sub-pixel phase, and no residual shows it. The stars of a picture share one PSF and
 fall at different phases; all of them together determine a correction to the Gaussian (`psf.correction`), linear in
-its modes. Every star's own flux, center, level and shape, which scatters as the stars tell, are eliminated from the normal equations,
-so that the correction has its true covariance; the variance of each layer of modes is estimated with it (MacKay 1992).
+its modes. Every star's own flux, center, level and shape, which scatters as the stars tell, are eliminated from the normal
+equations, so that the correction has its true covariance, and the variance of each layer of modes (MacKay 1992).
 Where the catalog's places are known they help: a shift, turn and scale of all of them are free.
 
 Without them the modes that move all stars of a phase alike are known by nothing but the prior, and the covariance says so.
