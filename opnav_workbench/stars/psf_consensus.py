@@ -300,7 +300,9 @@ MIN_ALIKE = 2  # stars without a hit that tell what is usual
 MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
 MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
-COMMON_SHAPE_SIGMA = 0.01  # of its log scale and ellipticity from star to star until they tell: most of what shows is phase
+COMMON_SHAPE_SIGMA = (
+    0.01  # of its log scale and ellipticity from star to star until they tell: most of what shows is phase
+)
 MISFIT_IN_SIGMAS = 5.0  # of the pooled chi-squared of all teachers
 
 
