@@ -195,7 +195,7 @@ def test_a_pattern_of_the_wrong_brightness_is_less_sure():
     predicted, mag = rng.uniform(30.0, 220.0, (3, 2)), rng.uniform(7.5, 9.5, 3)
     doubt = []
     for fainter in (0.0, 1.2):
-        seen = make_detections(predicted + [3.0, 2.0], mag + fainter - ZERO_POINT)
+        seen = make_detections(predicted + np.array([3.0, 2.0]), mag + fainter - ZERO_POINT)
         found = identify(predicted, mag, seen, center_px=(127.5, 127.5), zero_point_mag=ZERO_POINT)
         assert len(found.pairs) == 3
         doubt.append(1.0 - found.confidence)
