@@ -146,6 +146,8 @@ class PsfCorrection:
         What the stars of this picture alone say of it; None where none taught it.
     n_stars
         How many these are.
+    shape_scatter
+        One sigma by which their own log scales and ellipticities differ from it; None where none taught it.
     """
 
     sigma_px: float
@@ -153,6 +155,7 @@ class PsfCorrection:
     root: FloatArray
     evidence: PsfEvidence | None = None
     n_stars: int = 0
+    shape_scatter: float | None = None
     _coefficients: tuple[FloatArray, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -43,7 +43,15 @@ from opnav_workbench.session.state import (
     unsearched_statuses,
     with_decisions,
 )
-from opnav_workbench.stars import Detections, Identification, StarFlag, detect, identify_marked, identify_sky
+from opnav_workbench.stars import (
+    Detections,
+    Identification,
+    StarFlag,
+    detect,
+    identify_marked,
+    identify_sky,
+    in_defect_rows,
+)
 from opnav_workbench.stars.pointing import places_even_behind
 
 __all__ = [
@@ -248,6 +256,7 @@ def _detected(context: Context) -> Detections:
         saturated=saturated,
         sharpest_px=max(camera.psf.sigma_px - camera.psf.sigma_sigma_px, 0.5 * camera.psf.sigma_px),
     )
+    found = found.take(np.flatnonzero(~in_defect_rows(found, context.signal_dn.shape)))
     # Hot pixels and cosmic rays may outnumber and outshine the stars: as many of them as of what looks like a star.
     sharp = (found.flags & StarFlag.COSMIC_RAY) != 0
     crowd = np.cumsum(sharp) > max(MIN_SHARP, np.count_nonzero(~sharp))

@@ -14,7 +14,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 ``correlation``
     First centers by matched filter or cross-correlation with a template: `correlate`.
 ``detection``
-    Blind detection: `detect` and its `Detections`.
+    Blind detection: `detect` and its `Detections`; `in_defect_rows` tells those of hot columns and lines.
 ``effective_psf``
     The correction to a Gaussian that all stars of a picture agree on.
 ``evidence``
@@ -54,7 +54,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 from opnav_workbench.stars.center_bounds import CenterBound, cramer_rao, flux_at_snr
 from opnav_workbench.stars.companions import with_companions
 from opnav_workbench.stars.correlation import StarTemplate, correlate, extract_template, gaussian_template
-from opnav_workbench.stars.detection import Detections, detect
+from opnav_workbench.stars.detection import Detections, detect, in_defect_rows
 from opnav_workbench.stars.effective_psf import ExpectedPlaces
 from opnav_workbench.stars.evidence import Identification
 from opnav_workbench.stars.flags import StarFlag, describe_flags
@@ -100,6 +100,7 @@ __all__ = [
     "identify",
     "identify_marked",
     "identify_sky",
+    "in_defect_rows",
     "shape_from_stars",
     "strange_images",
     "with_companions",

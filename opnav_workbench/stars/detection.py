@@ -14,16 +14,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 from scipy.ndimage import correlate1d
-from scipy.special import erf
+from scipy.special import erf, gammainc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.stars.boxes import Pixels, check_image
 from opnav_workbench.stars.flags import StarFlag, combine_flags
 
-__all__ = ["Detections", "detect"]
+__all__ = ["Detections", "detect", "in_defect_rows"]
 
 
 # ---- What blind detection finds in an image.
@@ -173,6 +174,37 @@ def detect(
     )
     found = replace_saturated(found, pixels.saturated, sigma_px)
     return found.take(np.argsort(-found.flux_dn, kind="stable")[:max_detections])
+
+
+ROW_CHANCE = 1e-6  # that a picture's stars stand so in any of its columns
+ROW_NEIGHBORS = 10  # columns on each side that tell how many are usual there: a cluster is no defect
+ROW_SPAN = 0.25  # of the detector: a star's trail is shorter
+
+
+def in_defect_rows(found: Detections, shape: tuple[int, int]) -> BoolArray:
+    """Tell which detections (n,) are a hot column's or line's: far more of them in it than beside it, far apart.
+
+    Parameters
+    ----------
+    shape
+        (n_line, n_pixel) of the picture.
+    """
+    odd = np.zeros(len(found), bool)
+    for axis in (0, 1):
+        width, length = shape[1 - axis], shape[axis]
+        at = np.clip(np.rint(found.pixel_line[:, axis]).astype(int), 0, width - 1)
+        along = found.pixel_line[:, 1 - axis]
+        count = np.bincount(at, minlength=width)
+        first, last = np.full(width, np.inf), np.full(width, -np.inf)
+        np.minimum.at(first, at, along)
+        np.maximum.at(last, at, along)
+        # The median of the neighbors, for defects may stand together.
+        beside = np.pad(count, ROW_NEIGHBORS, mode="reflect")
+        usual = np.median(sliding_window_view(beside, 2 * ROW_NEIGHBORS + 1), axis=1)
+        usual = np.maximum(usual, np.median(count)) + 1.0
+        many = gammainc(np.maximum(count, 1), usual) < ROW_CHANCE / width  # Poisson: that many or more
+        odd |= (many & (last - first > ROW_SPAN * length))[at]
+    return odd
 
 
 Peaks = tuple[IntArray, IntArray, FloatArray, FloatArray, float]

@@ -3,8 +3,8 @@
 An undersampled star falls on four or five pixels, which tell its flux, place and level, and hardly its shape: taken for
 a Gaussian, its center errs with the sub-pixel phase, and no residual shows it. The stars of a picture share one PSF and
 fall at different phases; all of them together determine a correction to the Gaussian (`psf.correction`), linear in
-its modes. Every star's own flux, center, level and a small scatter of its shape are eliminated from the normal equations,
-so that the correction has its true covariance; the variance of each layer of modes is estimated with it (MacKay 1992).
+its modes. Every star's own flux, center, level and shape, which scatters as the stars tell, are eliminated from the normal
+equations, so that the correction has its true covariance, and the variance of each layer of modes (MacKay 1992).
 Where the catalog's places are known they help: a shift, turn and scale of all of them are free.
 
 Without them the modes that move all stars of a phase alike are known by nothing but the prior, and the covariance says so.
@@ -44,6 +44,10 @@ PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
+# Of log scale and ellipticity from star to star, all alike likely: from what no star can show to more than colors make.
+# A few are odd: close pairs.
+SHAPE_SCATTERS = (0.001, 0.0015, 0.0022, 0.0033, 0.005, 0.0075, 0.011, 0.016, 0.024)
+ODD_SHAPE, ODD_SHARE = 0.1, 0.05
 FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL = range(7)
 CENTER = slice(PIXEL, SCALE)
 
@@ -140,7 +144,7 @@ def learn_correction(
     layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
     if kept is not None:
-        correction = prior_correction(psf.sigma_px, kept)
+        correction = prior_correction(psf, settings.size, kept)
     for step in range(PASSES):
         learned = step > 0 or kept is not None
         normal = _normal_equations(pixels, known, psf, correction, usual, settings, learned)
@@ -152,17 +156,22 @@ def learn_correction(
         known_of_it = own if kept is None else PsfEvidence.total([own, kept])
         amplitudes, root, variance = _modes_with_variances(known_of_it, variance)
         shared = np.concatenate([amplitudes, back(amplitudes)])
-        correction = PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows))
+        if psf.sigma_log_scale <= SHAPE_SCATTERS[-1]:  # one PSF for all: how far do they differ from it?
+            scatter = _shape_scatter(normal, shared, psf)
+            psf = replace(psf, sigma_log_scale=scatter, sigma_ellipticity=scatter)
+        correction = PsfCorrection(
+            psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows), psf.sigma_log_scale
+        )
         known = known + _limited(normal.own_steps(shared))
     return correction
 
 
-def prior_correction(sigma_px: float, kept: PsfEvidence) -> PsfCorrection:
-    """Return the correction that other pictures teach, with its covariance."""
-    variance = np.square(PRIOR_AMPLITUDES)
+def prior_correction(psf: ShapePrior, size: int, kept: PsfEvidence) -> PsfCorrection:
+    """Return the correction of the Gaussian `psf` that other pictures teach, with its covariance."""
+    usual, variance = _usual_modes(psf, size), np.square(PRIOR_AMPLITUDES)
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
-    return PsfCorrection(sigma_px, amplitudes, root)
+    return PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root)
 
 
 def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
@@ -299,6 +308,25 @@ def _modes_with_variances(
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
         variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
     return amplitudes, root, variance
+
+
+def _shape_scatter(normal: _Normal, shared: FloatArray, psf: ShapePrior) -> float:
+    """Scatter of log scale and ellipticity from star to star that is to be expected from how these stars differ."""
+    n = len(normal.own)
+    right = normal.own_right - normal.mixed @ shared
+    shape, rest = [SCALE, E1, E2], [FLUX, PIXEL, LINE, LEVEL]
+    own = normal.own - np.diag([0.0, 0.0, 0.0, *psf.information, 0.0])
+    across = own[:, rest][:, :, shape]
+    known = np.concatenate([across, right[:, rest, None]], axis=2)
+    solved = np.swapaxes(across, 1, 2) @ np.linalg.solve(own[:, rest][:, :, rest], known)
+    value, vector = np.linalg.eigh(own[:, shape][:, :, shape] - solved[:, :, :3])
+    pull = (np.swapaxes(vector, 1, 2) @ (right[:, shape] - solved[:, :, 3])[:, :, None])[:, :, 0]
+    variance = np.square([*SHAPE_SCATTERS, ODD_SHAPE])[:, None, None]
+    spread = 1.0 + variance * np.maximum(value, 0.0)
+    told = 0.5 * np.sum(variance * pull**2 / spread - np.log(spread), axis=2)  # (scatters + 1, n)
+    each = np.logaddexp(np.log1p(-ODD_SHARE) + told[:-1], np.log(ODD_SHARE) + told[-1]).reshape(-1, n)
+    total = each.sum(axis=1)
+    return float(np.average(SHAPE_SCATTERS, weights=np.exp(total - total.max())))
 
 
 def _limited(steps: FloatArray) -> FloatArray:

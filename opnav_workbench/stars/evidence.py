@@ -122,8 +122,19 @@ def _log_brightness_ratio(star_field: StarField, h: RotationHypothesis, zero_poi
     ratio = np.where(star_field.saturated[detection], 0.0, np.log(core + tail) - any_one)
     if np.isnan(star_field.zero_point_mag):  # it was fitted to these very stars
         cost = np.log(np.sqrt(2.0 * np.pi / len(star)) * MAGNITUDE_SIGMA / ZERO_POINT_RANGE_MAG)
-        ratio = ratio + cost / len(star)
-    return np.asarray(ratio)
+        return np.asarray(ratio + cost / len(star))
+    return np.asarray(ratio + _log_zero_point_ratio(zero_point - star_field.zero_point_mag) / len(star))
+
+
+def _log_zero_point_ratio(off_mag: float) -> float:
+    """Log of how likely a camera's zero point is off by that, over its being right.
+
+    Ghosts, and a second image of all stars, have the pattern of the field, but not its brightness.
+    """
+    density = 1.0 / (np.sqrt(2.0 * np.pi) * LIMIT_SIGMA_MAG)
+    wrong = BRIGHTNESS_OUTLIERS / ZERO_POINT_RANGE_MAG
+    right = (1.0 - BRIGHTNESS_OUTLIERS) * density
+    return float(np.log((right * np.exp(-0.5 * (off_mag / LIMIT_SIGMA_MAG) ** 2) + wrong) / (right + wrong)))
 
 
 def _log_volume(star_field: StarField, limits: SearchLimits, h: RotationHypothesis) -> float:

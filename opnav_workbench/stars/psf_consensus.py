@@ -175,10 +175,12 @@ def fit_stars(
     if kept is None:
         return frame.alone(prior)
     together = frame.with_others(kept)
-    if not _misfit(together[0], _teachers(together[0])):
+    told = _teachers(together[0])
+    if len(told) > 0 and not _misfit(together[0], told):
         return together
     alone = frame.alone(prior)
-    return alone if _describes_better(alone[0], together[0]) else together
+    spoiled = len(_teachers(alone[0])) > 2 * len(told)  # of a PSF this wrong hardly a fit comes to an end
+    return alone if spoiled or _describes_better(alone[0], together[0]) else together
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,6 +238,9 @@ class _Frame:
     ) -> tuple[StarCenters, ShapePrior]:
         correction = learn_correction(self.pixels, before, teachers, shape, self.settings, self.places, kept)
         learned = replace(shape, correction=correction)
+        if correction.shape_scatter is not None:
+            scatter = correction.shape_scatter
+            learned = replace(learned, sigma_log_scale=scatter, sigma_ellipticity=scatter)
         return self._with_error(learned, self.fit(learned, 0.0)), learned
 
     def _with_error(self, psf: ShapePrior, centers: StarCenters) -> StarCenters:
@@ -296,7 +301,7 @@ MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest
 MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
 COMMON_SHAPE_SIGMA = (
-    0.01  # of its log scale and ellipticity from star to star: what they seem to scatter by is phase
+    0.01  # of its log scale and ellipticity from star to star until they tell: most of what shows is phase
 )
 MISFIT_IN_SIGMAS = 5.0  # of the pooled chi-squared of all teachers
 
@@ -334,8 +339,10 @@ def _common_shape(psf: ShapePrior) -> ShapePrior:
 
 
 def _shared_shape(log_scale: float, ellipticity: FloatArray, evidence: PsfEvidence | None) -> ShapePrior:
-    correction = None if evidence is None else prior_correction(float(np.exp(log_scale)), evidence)
-    return ShapePrior(log_scale, COMMON_SHAPE_SIGMA, ellipticity, COMMON_SHAPE_SIGMA, correction)
+    shape = ShapePrior(log_scale, COMMON_SHAPE_SIGMA, ellipticity, COMMON_SHAPE_SIGMA)
+    if evidence is None:
+        return shape
+    return replace(shape, correction=prior_correction(shape, default_box_px(shape.sigma_px), evidence))
 
 
 def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray) -> bool:

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.stars import StarFlag, detect
+from opnav_workbench.stars import Detections, StarFlag, detect, in_defect_rows
 
 NOISE_DN = 3.0
 
@@ -138,3 +138,17 @@ def test_a_psf_sharper_than_described_is_no_cosmic_ray(render_stars, star_grid):
         assert low <= cosmic[near].mean() <= high
         assert cosmic[~near].all()
         assert near.sum() == len(centers)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_hot_columns_are_told_from_stars_trails_and_clusters(axis):
+    rng = np.random.default_rng(4)
+    stars = rng.uniform(0.0, 255.0, (60, 2))
+    cluster = 128.0 + rng.normal(0.0, 8.0, (150, 2))
+    trail = np.column_stack([np.full(12, 40.0), 100.0 + 3.0 * np.arange(12)])
+    column = np.column_stack([np.full(40, 200.0), 6.0 * np.arange(40)])
+    places = np.concatenate([stars, cluster, trail, column])[:, :: 1 - 2 * axis]
+    ones = np.ones(len(places))
+    odd = in_defect_rows(Detections(places, ones, ones, ones, np.zeros(len(places), int)), (256, 256))
+    assert odd[-40:].all()
+    assert np.count_nonzero(odd[:-40]) <= 3  # of those that happen to lie in it

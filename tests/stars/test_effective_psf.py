@@ -15,6 +15,7 @@ from opnav_workbench.errors import CameraError
 from opnav_workbench.psf import EffectivePsf, PsfEvidence
 from opnav_workbench.psf.correction import PRIOR_AMPLITUDES, PsfCorrection, mode_layers
 from opnav_workbench.stars import ExpectedPlaces, NoiseModel, ShapePrior, fit_stars
+from opnav_workbench.stars.effective_psf import prior_correction
 
 FINE, HALF = 40, 8  # samples a pixel; pixels on each side
 READ_NOISE_DN, GAIN = 1.1, 22.0
@@ -212,6 +213,32 @@ def test_well_sampled_gaussians_are_fitted_as_ever():
     image, center, *_ = frame(shares, 16, (30, 100), rng)
     _, psf = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(1.0), noise_model=NOISE)
     assert psf.correction is None
+
+
+def test_what_was_taught_is_the_same_psf_when_it_is_taken_up_again():
+    """Light and center that no star tells of the modes are a convention: other pictures must not scale or shift by it."""
+    image, center, *_ = frame(pixel_shares(obstructed, 0.25), 40, (12, 400), np.random.default_rng(2))
+    _, psf = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(0.27), noise_model=NOISE)
+    again = prior_correction(psf, BOX, psf.correction.evidence)
+    places = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 2)), np.full((20, 2), -4.0), BOX
+    wrong = again.evaluate(*places)[0] - psf.correction.evaluate(*places)[0]
+    assert rms(wrong.sum(axis=(1, 2))) < 0.02  # of a star's light; 2 without the convention
+    assert np.abs(wrong).max() < 0.01
+
+
+@pytest.mark.parametrize(("spread", "low", "high"), [(0.0, 0.0, 0.004), (0.03, 0.015, 0.03)])
+def test_how_far_the_shapes_of_stars_differ_is_learned(spread, low, high):
+    rng = np.random.default_rng(6)
+    pictures = [
+        frame(pixel_shares(gaussian, 0.4 * factor), 25, (100, 400), np.random.default_rng(8))
+        for factor in (1.0 - spread, 1.0 + spread)
+    ]
+    (image, center, *_), (other, *_) = pictures
+    right = np.arange(SIDE) >= SIDE // 2
+    both = np.where(right, other, image)
+    start = center + rng.uniform(-0.3, 0.3, center.shape)
+    _, psf = fit_stars(both, READ_NOISE_DN, None, start, ShapePrior.round_psf(0.42), noise_model=NOISE)
+    assert low <= psf.sigma_log_scale <= high
 
 
 @pytest.fixture(scope="module")

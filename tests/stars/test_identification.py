@@ -187,3 +187,16 @@ def test_bad_input_is_refused():
         identify([[1.0, 2.0]], [9.0, 9.0], seen, center_px=(127.5, 127.5))
     with pytest.raises(CenterfindingError, match="limits"):
         identify([[1.0, 2.0]], [9.0], seen, center_px=(127.5, 127.5), max_shift_px=-1.0)
+
+
+def test_a_pattern_of_the_wrong_brightness_is_less_sure():
+    """A ghost of all stars has their pattern, fainter than the camera's zero point tells."""
+    rng = np.random.default_rng(11)
+    predicted, mag = rng.uniform(30.0, 220.0, (3, 2)), rng.uniform(7.5, 9.5, 3)
+    doubt = []
+    for fainter in (0.0, 1.2):
+        seen = make_detections(predicted + np.array([3.0, 2.0]), mag + fainter - ZERO_POINT)
+        found = identify(predicted, mag, seen, center_px=(127.5, 127.5), zero_point_mag=ZERO_POINT)
+        assert len(found.pairs) == 3
+        doubt.append(1.0 - found.confidence)
+    assert doubt[1] > 3.0 * doubt[0]
