@@ -48,6 +48,8 @@ FLAT = 1e-12  # prior information of what is free
 # A few are odd: close pairs.
 SHAPE_SCATTERS = (0.001, 0.0015, 0.0022, 0.0033, 0.005, 0.0075, 0.011, 0.016, 0.024)
 ODD_SHAPE, ODD_SHARE = 0.1, 0.05
+# Fewer stars, which teach the PSF as well, are taken for too alike: ten in real LORRI frames made 0.4 arcsec of 0.3.
+FEWEST_ALIKE = 20
 FLUX, PIXEL, LINE, SCALE, E1, E2, LEVEL = range(7)
 CENTER = slice(PIXEL, SCALE)
 
@@ -156,7 +158,9 @@ def learn_correction(
         known_of_it = own if kept is None else PsfEvidence.total([own, kept])
         amplitudes, root, variance = _modes_with_variances(known_of_it, variance)
         shared = np.concatenate([amplitudes, back(amplitudes)])
-        if psf.sigma_log_scale <= SHAPE_SCATTERS[-1]:  # one PSF for all: how far do they differ from it?
+        if (
+            len(rows) >= FEWEST_ALIKE and psf.sigma_log_scale <= SHAPE_SCATTERS[-1]
+        ):  # one PSF for all: do they differ?
             scatter = _shape_scatter(normal, shared, psf)
             psf = replace(psf, sigma_log_scale=scatter, sigma_ellipticity=scatter)
         correction = PsfCorrection(

@@ -27,7 +27,7 @@ from opnav_workbench.bodies.ellipse.limb_points import (
 from opnav_workbench.bodies.ellipse.point_fits import limb_motion
 from opnav_workbench.bodies.ellipse.report import METHOD, LimbStage, limb_center
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
-from opnav_workbench.bodies.place import cross_limb, radiance_profiles
+from opnav_workbench.bodies.place import LimbCrossings, cross_limb, radiance_profiles
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.constants import MAD_TO_SIGMA
@@ -161,7 +161,7 @@ def _refined(
     solved = solve_range
     if solve_range and not _tells_range(stage, picture.model(silhouette.name).target):
         solved = False
-        center = stage.outline.center_px
+        center = stage.outline.center_px if converged else center
         stage, steps, converged = _settled(picture, silhouette, center, 1.0, solve_range=False)
     if stage.motion is None or missing_share(stage.selection) > MOSTLY_MISSING:
         return _no_limb(silhouette.name, stage)
@@ -198,15 +198,16 @@ def _no_limb(name: str, stage: LimbStage) -> BodyCenter:
 def _settled(
     picture: BodyPicture, silhouette: Silhouette, center: FloatArray, scale: float, *, solve_range: bool
 ) -> tuple[LimbStage, tuple[tuple[float, float], ...], bool]:
-    """Repeat stages until the body stands still."""
-    spread = _spread_px(picture, silhouette.name, silhouette.at(center, scale), scale)
+    """Repeat stages until the body stands still, or is lost: then the last one that saw its limb stands, not converged."""
+    follow = _is_rough(_crossings(picture, silhouette.name, silhouette.at(center, scale), scale))
     steps: list[tuple[float, float]] = []
-    share, last = 1.0, np.zeros(3)
+    share, last, seen = 1.0, np.zeros(3), None
     while True:
         outline = silhouette.at(center, scale)
-        stage = _stage(picture, silhouette, outline, scale, spread, solve_range=solve_range)
+        stage = _stage(picture, silhouette, outline, scale, follow=follow, solve_range=solve_range)
         if stage.motion is None:
-            return stage, tuple(steps), False
+            return seen or stage, tuple(steps), False
+        seen = stage
         radii = np.array([1.0, 1.0, 0.5 * outline.diameter_px])
         step = np.clip(stage.motion.motion * radii, -LARGEST_STEP * radii[2], LARGEST_STEP * radii[2])
         sigma = np.sqrt(np.diag(stage.motion.covariance)) * radii
@@ -225,24 +226,22 @@ def _stage(
     silhouette: Silhouette,
     outline: Outline,
     scale: float,
-    spread: float,
     *,
+    follow: bool,
     solve_range: bool,
 ) -> LimbStage:
     reach = limb_reach_px(picture)
-    follow = spread > ROUGH_PX
-    search = reach + 3.0 * spread if follow else 0.0
     pieces = limb_pieces(outline, picture.signal_dn.shape, reach)
-    window = _window(picture, outline, reach + search)
+    offset = np.zeros(len(pieces))
+    if follow:
+        offset = _crossed(_crossings(picture, silhouette.name, outline, scale), outline, pieces)
+        pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
+    window = _window(picture, outline, reach + float(np.abs(offset).max()))
     if min(window[2:]) < 1:
         raise CenterfindingError("its limb lies off the detector")
     model = model_picture(
         picture, window, {silhouette.name: outline.center_px}, range_scale={silhouette.name: scale}
     )
-    offset = np.zeros(len(pieces))
-    if follow:
-        offset = _crossed(picture, silhouette.name, outline, scale, pieces, search)
-        pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
     edges = fit_edges(picture, pieces, model, window, outline.center_px, offset)
     selection = select_limb(picture, silhouette, pieces, edges, reach)
     motion = limb_motion(
@@ -263,20 +262,19 @@ def _window(picture: BodyPicture, outline: Outline, margin: float) -> tuple[int,
     return int(first[0]), int(first[1]), n_pixel, n_line
 
 
-def _spread_px(picture: BodyPicture, name: str, outline: Outline, scale: float) -> float:
-    """Return how far a limb lies from an outline, as a standard deviation; 0 where it is not seen."""
+def _crossings(picture: BodyPicture, name: str, outline: Outline, scale: float) -> LimbCrossings:
     search = max(LEAST_SEARCH_PX, SEARCH_SHARE * 0.5 * outline.diameter_px)
-    found = cross_limb(picture, outline, search, radiance_profiles(picture, name, 1.0 / scale))
-    if not found.known.any():
-        return 0.0
-    return MAD_TO_SIGMA * float(np.median(np.abs(found.depth_px[found.known])))
+    return cross_limb(picture, outline, search, radiance_profiles(picture, name, 1.0 / scale))
 
 
-def _crossed(
-    picture: BodyPicture, name: str, outline: Outline, scale: float, pieces: LimbPieces, search_px: float
-) -> FloatArray:
+def _is_rough(found: LimbCrossings) -> bool:
+    """Tell whether a limb lies so far from an outline that it has to be followed."""
+    away = np.abs(found.depth_px[found.known])
+    return len(away) > 0 and MAD_TO_SIGMA * float(np.median(away)) > ROUGH_PX
+
+
+def _crossed(found: LimbCrossings, outline: Outline, pieces: LimbPieces) -> FloatArray:
     """Return where along its normal the limb of each piece (n,) is crossed; 0 where it is not."""
-    found = cross_limb(picture, outline, search_px, radiance_profiles(picture, name, 1.0 / scale))
     ray = np.mod(pieces.angle_rad, TURN) * (len(found.angle_rad) / TURN)
     nearest = ray.astype(np.int64) % len(found.angle_rad)
     away = pieces.point_px - outline.center_px

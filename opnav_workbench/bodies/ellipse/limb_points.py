@@ -133,6 +133,7 @@ def _pixels_near(outline: Outline, shape: tuple[int, ...], reach: float) -> tupl
     low, high = outline.center_px - outline.reach_px[:2], outline.center_px + outline.reach_px[2:]
     first = np.clip(np.floor(low - reach), 0, None).astype(int)
     last = np.clip(np.ceil(high + reach), None, np.array(shape[::-1]) - 1).astype(int)
+    last = np.maximum(last, first - 1)  # none of it on the detector
     line, pixel = np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1]
     return pixel.ravel(), line.ravel()
 
