@@ -126,18 +126,15 @@ def confirmed_center(
     *,
     circle: Circle | None = None,
     search_radius_px: float | None = None,
-    disk: MeasuredDisk | BodyCenter | None = None,
 ) -> BodyCenter:
     """Return a center by the light of the whole disk beside the likelihood's.
 
     A fit of the model's light knows neither of another size nor of another law or albedo: how far it lies from a reading
     that does is in its covariance, and in its status where that is too far. Bodies without a likelihood stay as they are.
-    A `disk` that was measured already is not measured again.
     """
     if center.pixel_line is None or picture.model(center.name).is_point:
         return center
-    if disk is None:
-        disk = measure_disk(picture, center.name, center.method, circle, search_radius_px)
+    disk = measure_disk(picture, center.name, center.method, circle, search_radius_px)
     if isinstance(disk, BodyCenter):
         return center
     first, fit = center.pixel_line, disk.fit

@@ -458,7 +458,7 @@ class DiskReading:
         freeze_arrays(self)
 
 
-# ---- What the horizon fit hands over beside the center.
+# ---- What the fit of a limb's conic hands over beside the center.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,8 +34,8 @@ __all__ = ["CommonErrorEstimate", "estimate_with_common_errors"]
 SHARES = np.arange(0.1, 1.0, 0.2)  # middles of equal parts: every share is as likely beforehand
 # Sizes of errors over what a centerfinder states, and how likely they are beforehand: normal in the logarithm, for sigmas of
 # what nobody has seen are believed to a factor of two.
-SIZES = 2.0 ** np.arange(-2.0, 2.5)
-SIZE_COSTS = np.arange(-2.0, 2.5) ** 2
+DOUBLINGS = np.arange(-2.0, 2.5)
+SIZES, SIZE_COSTS = 2.0**DOUBLINGS, DOUBLINGS**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

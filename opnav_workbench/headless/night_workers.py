@@ -210,9 +210,8 @@ def _watch(child: Child, job: NotebookRequest, report: Path, stop: threading.Eve
     deadline = now + job.time_limit_s
     while child.poll() is None:
         before, now = now, time.monotonic()
-        deadline += max(
-            now - before - ASLEEP_S, 0.0
-        )  # all of us were stopped meanwhile, or the machine slept
+        # All of us were stopped meanwhile, or the machine slept.
+        deadline += max(now - before - ASLEEP_S, 0.0)
         peak = max(peak, _memory_mb(child.pid))
         if peak > job.memory_limit_mb:
             return (

@@ -39,6 +39,7 @@ __all__ = [
     "HeaderGeometry",
     "HeaderValue",
     "KeywordMap",
+    "bare_word",
     "barycentric_from_heliocentric",
     "header_geometry",
     "header_matches",
@@ -313,7 +314,7 @@ class KeywordMap:
 
     def words(self, name: str) -> tuple[str, ...]:
         """Return the keywords of a field of one or several, as a header has them."""
-        return tuple(word.removeprefix("-") for word in self._named(name))
+        return tuple(bare_word(word)[0] for word in self._named(name))
 
     def numbers(self, header: Header, name: str) -> list[float | None]:
         """Return what the words of a vector, quaternion or angle say, in km, km/s or deg; None where one is no number."""
@@ -324,11 +325,17 @@ class KeywordMap:
         return (named,) if isinstance(named, str) else tuple(named)
 
     def _number(self, header: Header, named: str) -> float | None:
-        word = named.removeprefix("-")
+        word, sign = bare_word(named)
         value = header_number(self.known(header, word))
         if value is None or not math.isfinite(value):
             return None
-        return value * UNITS.get(unit_of(header, word), 1.0) * (1.0 if named == word else -1.0)
+        return value * UNITS.get(unit_of(header, word), 1.0) * sign
+
+
+def bare_word(named: str) -> tuple[str, float]:
+    """Return a keyword of a map as a header has it, and -1 where a minus says that it holds the opposite, else 1."""
+    word = named.removeprefix("-")
+    return word, 1.0 if word == named else -1.0
 
 
 def _piece(value: HeaderValue | None, number: int) -> HeaderValue | None:

@@ -32,6 +32,7 @@ from opnav_workbench.image.header import (
     HeaderGeometry,
     HeaderValue,
     KeywordMap,
+    bare_word,
     header_geometry,
     header_matches,
     header_number,
@@ -191,7 +192,7 @@ def _repeated_words(
 def _words_in(value: object) -> tuple[str, ...]:
     """Return the keywords in a field of a keyword map, without signs and numbers of pieces."""
     listed = value if isinstance(value, tuple) else value.keys() if isinstance(value, Mapping) else (value,)
-    return tuple(word.removeprefix("-").split("[")[0].upper() for word in listed if isinstance(word, str))
+    return tuple(bare_word(word)[0].split("[")[0].upper() for word in listed if isinstance(word, str))
 
 
 CLOCK_READING = re.compile(r"(?:\d+/)?(?P<seconds>\d+)")

@@ -147,7 +147,8 @@ class PsfCorrection:
     n_stars
         How many these are.
     shape_scatter
-        One sigma by which their own log scales and ellipticities differ from it; None where none taught it.
+        One sigma by which their own log scales and ellipticities differ from it, that believed beforehand of too few stars;
+        None where none taught it.
     """
 
     sigma_px: float

@@ -198,18 +198,15 @@ def header_attitude(context: Context) -> tuple[FloatArray | None, tuple[str, ...
         whole = np.isfinite(twist)
         return (camera_from_j2000(ra, dec, twist, camera.focal_from_camera) if whole else None), ()
     off = float(angle_between(np.asarray(attitude).T @ camera.boresight, unit_from_radec(ra, dec)))
+    apart = off > _can_be_off_rad(camera)
     turned = float(wrapped(pointing_angles(attitude, camera.focal_from_camera)[2] - twist))
     can_turn = ATTITUDE_SIGMAS * np.sqrt(2.0) * np.radians(camera.attitude_sigma.twist_deg)
-    if off <= _can_be_off_rad(camera) and not abs(turned) > can_turn:
+    if not (apart or abs(turned) > can_turn):
         return attitude, ()
     keywords = context.picture.keywords or KeywordMap(**context.mission.keywords)
     by = ", ".join(keywords.words("quaternion"))
     stated = ", ".join((*keywords.words("boresight"), *keywords.words("twist")))
-    how = (
-        f"{np.degrees(off):.4g} deg apart"
-        if off > _can_be_off_rad(camera)
-        else f"turned by {np.degrees(turned):.4g} deg"
-    )
+    how = f"{np.degrees(off):.4g} deg apart" if apart else f"turned by {np.degrees(turned):.4g} deg"
     return attitude, (f"the attitude of {by} and that of {stated} are {how}; the first is used",)
 
 

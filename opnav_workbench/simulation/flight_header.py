@@ -41,7 +41,7 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.image import KeywordMap
-from opnav_workbench.image.header import header_matches
+from opnav_workbench.image.header import bare_word, header_matches
 from opnav_workbench.kernels import State, body_attitude, body_id, sclk_from_et, state, utc_from_et
 from opnav_workbench.mission import Mission
 from opnav_workbench.simulation.detector_properties import DetectorValues, Level
@@ -376,10 +376,9 @@ def _keyword_cards(record: FlightRecord) -> Iterator[Card]:
         (names.sun_velocity, None if sun is None else sun.velocity_km_s),
     ):
         if keywords is not None and vector is not None:
-            for keyword, value in zip(
-                keywords, vector.tolist(), strict=True
-            ):  # a minus: the word has the opposite
-                yield Card(keyword.removeprefix("-"), -value if keyword.startswith("-") else value)
+            for keyword, value in zip(keywords, vector.tolist(), strict=True):
+                word, sign = bare_word(keyword)
+                yield Card(word, sign * value)
 
 
 # ---- World coordinates of a picture for its FITS header.

@@ -158,9 +158,8 @@ def learn_correction(
         known_of_it = own if kept is None else PsfEvidence.total([own, kept])
         amplitudes, root, variance = _modes_with_variances(known_of_it, variance)
         shared = np.concatenate([amplitudes, back(amplitudes)])
-        if (
-            len(rows) >= FEWEST_ALIKE and psf.sigma_log_scale <= SHAPE_SCATTERS[-1]
-        ):  # one PSF for all: do they differ?
+        # One PSF for all stars: do they differ?
+        if len(rows) >= FEWEST_ALIKE and psf.sigma_log_scale <= SHAPE_SCATTERS[-1]:
             scatter = _shape_scatter(normal, shared, psf)
             psf = replace(psf, sigma_log_scale=scatter, sigma_ellipticity=scatter)
         correction = PsfCorrection(

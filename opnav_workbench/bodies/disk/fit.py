@@ -146,9 +146,9 @@ SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
-ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), slice(-3, -1), -1
+ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), [-3, -2], -1
 # Columns of what moves with the limb, or lights it otherwise: as bright as it is there.
-LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, -3, -2, RELIEF]
+LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, *SHADED, RELIEF]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -653,13 +653,11 @@ class _Fitter:
         albedo, light = near.data_dn[here] / light[here], light[here]
         noise = (near.variance_dn2[here] + light / problem.pixels.gain_e_per_dn) / light**2
         cell = cell_of(near.places, problem.pieces, problem.edges)[here]
-        none = np.zeros((1, len(albedo)))
-        count, mean, square = gathered(
-            cell, np.ones(len(albedo)), albedo, albedo[None] ** 2, problem.pieces, problem.edges
+        count, mean, (square, expected) = gathered(
+            cell, np.ones(len(albedo)), albedo, np.stack([albedo**2, noise]), problem.pieces, problem.edges
         )
-        _, expected, _ = gathered(cell, np.ones(len(albedo)), noise, none, problem.pieces, problem.edges)
         free = np.maximum(count - 1.0, 0.0)
-        beyond = np.sum(count * (square[0] - mean**2) - free * expected, axis=1)
+        beyond = np.sum(count * (square - mean**2) - free * expected, axis=1)
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
 
     def _doubt(self) -> None:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.ndimage import map_coordinates
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes
@@ -250,16 +250,29 @@ def cell_means(depth_px: FloatArray, step_px: float, node: FloatArray) -> NDArra
     A cell that the limb cuts has the light of the part inside.
     """
     out = np.zeros((len(node), len(depth_px)))
-    covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
-    inside = np.flatnonzero(covered > 0.0)
-    places, weights = _rim_nodes(depth_px[inside], step_px)
+    inside, covered, places, weights = _covered_cells(depth_px, step_px)
     at = np.clip(np.sqrt(-places) / node[1], 0.0, len(node) - 1.0001)
     below = at.astype(np.int64)
     cells = np.broadcast_to(inside[:, None], at.shape)
-    share = weights * covered[inside, None]
+    share = weights * covered[:, None]
     np.add.at(out, (below, cells), share * (1.0 + below - at))
     np.add.at(out, (below + 1, cells), share * (at - below))
     return out.astype(np.float32)
+
+
+class _CoveredCells(NamedTuple):
+    """Cells that a limb leaves any of: which (n,), the share that is left, and depths (n, k) in it with their weights."""
+
+    inside: IntArray
+    covered: FloatArray
+    places: FloatArray
+    weights: FloatArray
+
+
+def _covered_cells(depth_px: FloatArray, step_px: float) -> _CoveredCells:
+    covered = np.clip(0.5 - depth_px / step_px, 0.0, 1.0)
+    inside = np.flatnonzero(covered > 0.0)
+    return _CoveredCells(inside, covered[inside], *_rim_nodes(depth_px[inside], step_px))
 
 
 def _rim_nodes(depth_px: FloatArray, step_px: float) -> tuple[FloatArray, FloatArray]:
@@ -517,16 +530,14 @@ def _spread_in_plane(
     flat_x, flat_y, share = x.ravel(), y.ravel(), np.maximum(reach / limb, 1e-9).ravel()
 
     depth_px = (reach - limb).ravel()
-    covered = np.clip(0.5 - depth_px / step, 0.0, 1.0)
-    inside = np.flatnonzero(covered > 0.0)
-    places, weights = _rim_nodes(depth_px[inside], step)
+    inside, covered, places, weights = _covered_cells(depth_px, step)
     within = np.clip(1.0 + places / limb.ravel()[inside, None], 0.0, 1.0 - GRAZE)
     length = within / share[inside, None]
     away = np.stack([flat_x[inside, None] * length, flat_y[inside, None] * length], axis=-1)
     rays = pixel_rays(picture, outline.center_px + away.reshape(-1, 2))
     rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, law)
     sources = np.zeros((len(rows), depth_px.size), dtype=np.float32)
-    sources[:, inside] = (rows * weights.ravel()).reshape(-1, *weights.shape).sum(axis=2) * covered[inside]
+    sources[:, inside] = (rows * weights.ravel()).reshape(-1, *weights.shape).sum(axis=2) * covered
     sources = sources.reshape(-1, *x.shape)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step

@@ -246,9 +246,8 @@ class LimbSystem:
         found, p = self._marginal(prior, cells), len(self.shared)
         cross, spread = cells.cross[:, :p], found.spread
         half = linalg.cho_solve((found.factor, True), spread @ cross, check_finite=False)
-        nodes = (found.field @ cross - spread.T @ half).reshape(
-            len(cells.root), -1, p
-        )  # of the field, of each column of X
+        # Of the field, of each column of X.
+        nodes = (found.field @ cross - spread.T @ half).reshape(len(cells.root), -1, p)
         left = self.shared - np.einsum("qjc,jqp->pjc", self.own, nodes)
         used = np.isfinite(self.variance)
         by_noise = (left / (self.variance + (prior.grain * self.light) ** 2))[:, used] * np.sqrt(

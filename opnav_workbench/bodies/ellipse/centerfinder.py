@@ -199,12 +199,15 @@ def _settled(
     picture: BodyPicture, silhouette: Silhouette, center: FloatArray, scale: float, *, solve_range: bool
 ) -> tuple[LimbStage, tuple[tuple[float, float], ...], bool]:
     """Repeat stages until the body stands still, or is lost: then the last one that saw its limb stands, not converged."""
-    follow = _is_rough(_crossings(picture, silhouette.name, silhouette.at(center, scale), scale))
+    outline = silhouette.at(center, scale)
+    found = _crossings(picture, silhouette.name, outline, scale)
+    follow = _is_rough(found)
     steps: list[tuple[float, float]] = []
     share, last, seen = 1.0, np.zeros(3), None
     while True:
-        outline = silhouette.at(center, scale)
-        stage = _stage(picture, silhouette, outline, scale, follow=follow, solve_range=solve_range)
+        stage = _stage(
+            picture, silhouette, outline, scale, found if follow else None, solve_range=solve_range
+        )
         if stage.motion is None:
             return seen or stage, tuple(steps), False
         seen = stage
@@ -219,6 +222,9 @@ def _settled(
         last, move = step, share * step / radii
         steps.append((float(move[0]), float(move[1])))
         center, scale = center + move[:2], scale * float(np.exp(move[2]))
+        outline = silhouette.at(center, scale)
+        if follow:
+            found = _crossings(picture, silhouette.name, outline, scale)
 
 
 def _stage(
@@ -226,15 +232,16 @@ def _stage(
     silhouette: Silhouette,
     outline: Outline,
     scale: float,
+    found: LimbCrossings | None,
     *,
-    follow: bool,
     solve_range: bool,
 ) -> LimbStage:
+    """Measure how far the limb lies beside an outline; `found`: where it is crossed, if it is looked for there."""
     reach = limb_reach_px(picture)
     pieces = limb_pieces(outline, picture.signal_dn.shape, reach)
     offset = np.zeros(len(pieces))
-    if follow:
-        offset = _crossed(_crossings(picture, silhouette.name, outline, scale), outline, pieces)
+    if found is not None:
+        offset = _crossed(found, outline, pieces)
         pieces = limb_pieces(outline, picture.signal_dn.shape, reach, offset)
     window = _window(picture, outline, reach + float(np.abs(offset).max()))
     if min(window[2:]) < 1:

@@ -38,7 +38,7 @@ from opnav_workbench.files import json_value
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
-from opnav_workbench.image.header import Header, HeaderValue, KeywordMap
+from opnav_workbench.image.header import Header, HeaderValue, KeywordMap, bare_word
 from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
 
@@ -328,8 +328,8 @@ def _header(sidecar: Sidecar, name: str, keywords: KeywordMap) -> tuple[dict[str
             names = tuple(f"SIDECAR.{word}.{number}" for number in range(len(values)))
             own[field] = names if len(names) > 1 else names[0]
         for named_so, value in zip(names, values, strict=True):
-            bare = named_so.removeprefix("-")  # with a minus the word has the opposite
-            header[bare] = value if isinstance(value, str) or bare == named_so else -value
+            word_there, sign = bare_word(named_so)
+            header[word_there] = value if isinstance(value, str) or sign > 0.0 else -value
     return header, replace(keywords, **own)  # type: ignore[arg-type]  # a field of each name
 
 
