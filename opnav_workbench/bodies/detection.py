@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.sparse.csgraph import connected_components
 from scipy.special import ndtr
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
@@ -31,6 +32,7 @@ __all__ = [
     "detection_snr",
     "expect_body",
     "fit_pixels",
+    "groups_in_contact",
 ]
 
 
@@ -341,14 +343,7 @@ def _in_contact(
 def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
     """Return the pixels about the bodies that are fitted together, without those of other bodies; None: there are none."""
     spread = _psf_reach_px(picture)
-    circles = [
-        (body.place.center_px, _measured_radius_px(body) + spread + RIM_PX)
-        for body in detected.found.values()
-    ]
-    circles += [
-        (place, outline_radius_px(picture, name) + spread + RIM_PX)
-        for name, place in detected.overlapping.items()
-    ]
+    circles = list(_fit_circles(picture, detected).values())
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     low = np.stack([center - reach for center, reach in circles]).min(axis=0)
     high = np.stack([center + reach for center, reach in circles]).max(axis=0)
@@ -371,6 +366,43 @@ def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
         if np.isfinite(place).all():
             use &= ~near(place, outline_radius_px(picture, name) + spread + NEIGHBOUR_ERROR_PX, square=False)
     return replace(cutout, use=cutout.use & use)
+
+
+def _fit_circles(picture: BodyPicture, detected: DetectedScene) -> dict[str, tuple[FloatArray, float]]:
+    """Return center (2,) and reach, px, of what is fitted of each body."""
+    about = _psf_reach_px(picture) + RIM_PX
+    circles = {
+        name: (body.place.center_px, _measured_radius_px(body) + about)
+        for name, body in detected.found.items()
+    }
+    for name, place in detected.overlapping.items():
+        circles[name] = place, outline_radius_px(picture, name) + about
+    return circles
+
+
+def groups_in_contact(picture: BodyPicture, detected: DetectedScene) -> list[DetectedScene]:
+    """Return a scene for each group of bodies whose pixels touch, with the others apart from it.
+
+    What does not share a pixel shares nothing: a joint fit of all would cost the square of their number, or more.
+    """
+    circles = _fit_circles(picture, detected)
+    places = np.reshape([center for center, _ in circles.values()], (-1, 2))
+    reach = np.array([far for _, far in circles.values()])
+    apart = np.abs(places[:, None] - places).max(axis=2)
+    count, group = connected_components(apart <= reach[:, None] + reach, directed=False)
+    names = list(circles)
+
+    def members(index: int) -> DetectedScene:
+        own = {name for name, k in zip(names, group, strict=True) if k == index}
+        others = {name: center for name, (center, _) in circles.items() if name not in own}
+        return DetectedScene(
+            {name: body for name, body in detected.found.items() if name in own},
+            {},
+            {name: place for name, place in detected.overlapping.items() if name in own},
+            {**detected.apart, **others},
+        )
+
+    return [members(index) for index in range(count)]
 
 
 def _measured_radius_px(body: DetectedBody) -> float:

@@ -1,6 +1,7 @@
 """Centers of one or several bodies in a picture by non-linear least squares of their rendered light to the data.
 
-Flow   search (correlation) -> one fit of all bodies, their brightness and a level -> patterns -> `JointCenters`
+Flow   search (correlation) -> groups that share pixels -> one fit of each group, their brightness and a level -> patterns ->
+       `JointCenters`
 
 The bodies are rendered together, so that they hide and shade each other as their places demand. What ties their errors
 to each other is in the normal matrix: light that overlaps, an edge that one cuts into the other, the level under both.
@@ -9,11 +10,18 @@ Reference: Jackman & Dumont (2013), AAS 13-443, "Non-linear Least Squares Target
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.detection import DetectedScene, SearchRequest, detect_bodies, fit_pixels
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.bodies.detection import (
+    DetectedScene,
+    SearchRequest,
+    detect_bodies,
+    fit_pixels,
+    groups_in_contact,
+)
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
@@ -66,16 +74,31 @@ def find_jointly(
     search = SearchRequest(METHOD, circles or {}, solve_range, search_radius_px)
     detected = detect_bodies(picture, names, search)
     if not detected.found:
-        return _collected(names, detected.missed, {}, np.empty((0, 0)))
+        return _collected(names, detected.missed, [])
+    groups = [
+        _fitted_group(picture, group, solve_range=solve_range)
+        for group in groups_in_contact(picture, detected)
+    ]
+    return _collected(names, detected.missed, groups)
+
+
+class _Group(NamedTuple):
+    """Centers of bodies that were fitted together, and their covariance (2 n, 2 n)."""
+
+    centers: Mapping[str, BodyCenter]
+    covariance: FloatArray
+
+
+def _fitted_group(picture: BodyPicture, detected: DetectedScene, *, solve_range: bool) -> _Group:
     cutout = fit_pixels(picture, detected)
     fitted = (*detected.found, *detected.overlapping)
     enough = MIN_PIXELS_PER_PARAMETER * (4 * len(fitted) + 1)
     if cutout is None or np.count_nonzero(cutout.use) < enough:
-        return _collected(names, {**detected.missed, **_empty(detected)}, {}, np.empty((0, 0)))
+        size = 2 * len(detected.found)
+        return _Group(_empty(detected), np.full((size, size), np.nan))
     wanted = np.array([solve_range and name in detected.found for name in fitted])
     fit = fit_scene(picture, cutout, _start(detected, solve_range=solve_range), solve_range=wanted)
-    centers, covariance = report_fitted_bodies(picture, cutout, detected, fit, METHOD, wanted)
-    return _collected(names, detected.missed, centers, covariance)
+    return _Group(*report_fitted_bodies(picture, cutout, detected, fit, METHOD, wanted))
 
 
 def _check(picture: BodyPicture, names: Sequence[str]) -> None:
@@ -103,19 +126,26 @@ def _empty(detected: DetectedScene) -> dict[str, BodyCenter]:
 
 
 def _collected(
-    names: Sequence[str],
-    missed: Mapping[str, BodyCenter],
-    centers: Mapping[str, BodyCenter],
-    covariance: FloatArray,
+    names: Sequence[str], missed: Mapping[str, BodyCenter], groups: Sequence[_Group]
 ) -> JointCenters:
-    """Put centers and covariances in the order of the names; `covariance` is in that of `centers`."""
-    joint = np.full((2 * len(names), 2 * len(names)), np.nan)
-    known = [name for name in centers if centers[name].pixel_line is not None]
-    at = np.ravel([[2 * names.index(name), 2 * names.index(name) + 1] for name in known]).astype(int)
-    order = list(centers)
-    rows = np.ravel([[2 * order.index(name), 2 * order.index(name) + 1] for name in known]).astype(int)
-    joint[np.ix_(at, at)] = covariance[np.ix_(rows, rows)]
-    return JointCenters(tuple({**missed, **centers}[name] for name in names), joint)
+    """Put centers and covariances in the order of the names; groups share nothing."""
+    centers, joint = dict(missed), np.full((2 * len(names), 2 * len(names)), np.nan)
+    for group in groups:
+        centers |= group.centers
+    known = [name for name in names if centers[name].pixel_line is not None]
+    everywhere = _rows(names, known)
+    joint[np.ix_(everywhere, everywhere)] = 0.0
+    for group in groups:
+        own = [name for name in known if name in group.centers]
+        at, order = _rows(names, own), _rows(list(group.centers), own)
+        joint[np.ix_(at, at)] = group.covariance[np.ix_(order, order)]
+    return JointCenters(tuple(centers[name] for name in names), joint)
+
+
+def _rows(order: Sequence[str], names: Sequence[str]) -> IntArray:
+    """Return the rows (2 n,) that bodies have in a covariance of an order."""
+    at = 2 * np.array([order.index(name) for name in names], dtype=np.int64)
+    return np.ravel(at[:, None] + [0, 1])
 
 
 # ---- Center of a body by non-linear least squares of its rendered picture to the data.

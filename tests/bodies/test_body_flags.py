@@ -168,10 +168,11 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     assert np.abs(joint.correlation[:2, 2:]).max() > 0.03
 
 
-def test_renderings_of_a_joint_fit_grow_as_its_bodies_do(body_stage, monkeypatch):
+def test_renderings_and_pixels_of_a_joint_fit_grow_as_its_bodies_do(body_stage, monkeypatch):
     counts = []
     draw = focal_plane.draw_body_light
     monkeypatch.setattr(focal_plane, "draw_body_light", lambda *a: counts.append(1) or draw(*a))
+    largest = (2.0 * (6.0 + 60.0)) ** 2  # px: a body, its PSF and the sky beside it, not the frame they are spread over
 
     def drawn(n):
         places = [(150.0 + 200.0 * (i % 4), 200.0 + 200.0 * (i // 4)) for i in range(n)]
@@ -181,6 +182,8 @@ def test_renderings_of_a_joint_fit_grow_as_its_bodies_do(body_stage, monkeypatch
         counts.clear()
         joint = find_jointly(picture, [f"B{i}" for i in range(n)])
         assert all(center.status == "ok" for center in joint.centers)
+        assert all(center.pictures.data_dn.size < largest for center in joint.centers)
+        np.testing.assert_array_equal(joint.covariance_px2[:2, 2:], 0.0)
         return len(counts)
 
     assert drawn(8) <= 4 * drawn(2) + 2

@@ -94,6 +94,10 @@ MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
 SURE_SIGMAS = 1.0  # of the PSF, inward of the limb: there pixels show the albedo beside it
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
+MOST_DOUBTS, SAME_DOUBT = (
+    4,
+    0.5,
+)  # solutions with weights by the last one; and weights alike, in the logarithm
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
 LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
@@ -617,8 +621,24 @@ class _Fitter:
         self._solve_at(*self._columns())
 
     def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
-        system = self._system(near, columns)
-        self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
+        """Solve, with cells that no model reaches counting as much as their residuals say (Huber's weights).
+
+        What is no limb stays where it is while the outline and its cells move: each solution has to find it anew.
+        """
+        for _ in range(MOST_DOUBTS):
+            system = self._system(near, columns)
+            self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
+            before, self.doubt = self.doubt, self._doubts(self.linear)
+            if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
+                break
+
+    def _doubts(self, linear: _LinearDisk) -> FloatArray:
+        """Return by how much (j, c) larger the variance of cells counts than their noise is."""
+        system = linear.system
+        noise = np.where(np.isfinite(system.variance), system.variance, 1.0)
+        sigma = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
+        away = np.abs(system.residuals_dn(linear.solution)) / sigma
+        return np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
 
     def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
@@ -661,14 +681,9 @@ class _Fitter:
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
 
     def _doubt(self) -> None:
-        """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
+        """Let patchy cells count less."""
         linear = self.linear
         self.patchy = self._patchiness(linear.samples, linear.columns)
-        system = linear.system
-        noise = np.where(np.isfinite(system.variance), system.variance, 1.0)
-        sigma = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
-        away = np.abs(system.residuals_dn(linear.solution)) / sigma
-        self.doubt = np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
         self._solve_at(linear.samples, linear.columns)
 
     def _iterate(self, most: int) -> None:
