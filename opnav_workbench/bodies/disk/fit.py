@@ -236,6 +236,8 @@ class DiskFit:
         Share of a turn of limb that is lit and in sight.
     lengths_px
         Of the center's steps.
+    excess
+        Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
     """
@@ -257,6 +259,7 @@ class DiskFit:
     lit_share: float
     lengths_px: tuple[float, ...]
     converged: bool
+    excess: float = 1.0
     unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
 
     def __post_init__(self) -> None:
@@ -270,7 +273,8 @@ class DiskFit:
     @property
     def covariance_px2(self) -> FloatArray:
         """Covariance of the center (2, 2), marginal over all else."""
-        return np.asarray(self.solution.covariance[np.ix_(CENTER, CENTER)] + self.unrest_px2)
+        own = self.excess * self.solution.covariance[np.ix_(CENTER, CENTER)]
+        return np.asarray(own + self.unrest_px2)
 
     @property
     def tabulated(self) -> FloatArray:
@@ -607,6 +611,7 @@ class _Fitter:
             lit_share=float(np.mean(self.problem.seen_limb(self.made, self.linear.system))),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
+            excess=self._excess(),
             unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
         )
 
@@ -634,11 +639,24 @@ class _Fitter:
 
     def _doubts(self, linear: _LinearDisk) -> FloatArray:
         """Return by how much (j, c) larger the variance of cells counts than their noise is."""
+        return np.maximum(self._sigmas_off(linear) / DOUBTED_SIGMAS, 1.0)
+
+    def _sigmas_off(self, linear: _LinearDisk) -> FloatArray:
+        """Return how many sigmas of noise and grain the cells (j, c) are from the model; 0 without pixels."""
         system = linear.system
-        noise = np.where(np.isfinite(system.variance), system.variance, 1.0)
-        sigma = np.sqrt(noise + (self.prior.grain * system.light) ** 2)
-        away = np.abs(system.residuals_dn(linear.solution)) / sigma
-        return np.maximum(away * np.sqrt(self.doubt) / DOUBTED_SIGMAS, 1.0)
+        known = np.isfinite(system.variance)
+        sigma = np.sqrt(np.where(known, system.variance, 1.0) + (self.prior.grain * system.light) ** 2)
+        away = np.abs(system.residuals_dn(linear.solution)) / sigma * np.sqrt(self.doubt)
+        return np.where(known, away, 0.0)
+
+    def _excess(self) -> float:
+        """Return the variance of the cells over what was expected of them, as Huber's loss has it; 1 at least.
+
+        Where cells are no model's, the others know no more of the center than the same model lets them.
+        """
+        away = self._sigmas_off(self.linear)
+        loss = np.where(away < DOUBTED_SIGMAS, away**2, (2.0 * away - DOUBTED_SIGMAS) * DOUBTED_SIGMAS)
+        return max(float(loss.sum()) / _degrees(self.linear.system), 1.0)
 
     def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
