@@ -398,7 +398,8 @@ def test_looks_in_light_and_dark(opened):
           words.selectNodeContents(line);
           const { right } = words.getBoundingClientRect();
           for (let around = line; around; around = around.parentElement)
-            if (getComputedStyle(around).overflow !== 'visible' && around.getBoundingClientRect().right < right - 1) return true;
+            if (getComputedStyle(around).overflow !== 'visible' && around.getBoundingClientRect().right < right - 1)
+              return true;
           return false;
         }).map((line) => line.textContent)"""
     )
