@@ -65,8 +65,7 @@ const plain = (_, value) => (typeof value?.to_base64 === "function" ? value.to_b
 
 class Page {
   constructor(model, el, signal) {
-    Object.assign(this, { model, signal, sequence: 0, keys: new Set(), pageKeys: {}, queue: [], held: [], failures: 0 });
-    this.caughtUp = () => this.guard(() => this.catchUp());
+    Object.assign(this, { model, signal, sequence: 0, keys: new Set(), pageKeys: {}, queue: [], failures: 0 });
     this.id = [...crypto.getRandomValues(new Uint8Array(8))].map((b) => b.toString(16).padStart(2, "0")).join("");
     this.root = el.appendChild(document.createElement("div"));
     this.root.className = "opnav-bridge";
@@ -159,8 +158,6 @@ class Page {
     if (this.signal.aborted) return;
     if (message.page !== undefined && message.page !== this.id) return;
     const { kind } = message;
-    if (kind === "patch") return this.inTurn(message, buffers);
-    this.catchUp(); // what has come before stands before it
     if (kind === "document") return this.show(message, buffers);
     if (kind === "bokeh") return this.scripts?.(buffers.map(asBuffer));
     if (kind === "piece") return this.pixels.receive(message, buffers);
@@ -169,19 +166,7 @@ class Page {
     if (kind === "refresh") return this.send({ kind: "open" });
     if (kind === "keys") return this.takeKeys(message);
     if (kind === "do") return void this.do(message.name);
-  }
-
-  // Within a workbench a patch is shown with the words that are told of it; see region.js.
-  inTurn(message, buffers) {
-    this.held.push([message, buffers]);
-    const hold = this.root.closest(".opnav-workbench")?.owHold;
-    if (hold) hold.show(this.caughtUp);
-    else this.catchUp();
-  }
-
-  catchUp() {
-    for (const [message, buffers] of this.held.splice(0))
-      if (this.doc && message.origin !== this.id) this.patch(message, buffers);
+    if (kind === "patch" && this.doc && message.origin !== this.id) return this.patch(message, buffers);
   }
 
   askForBokeh(parts) {

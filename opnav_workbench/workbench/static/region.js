@@ -6,7 +6,6 @@ const ROOT = ".opnav-workbench";
 const BUSY_MS = 2500; // an event that is not answered for so long: the kernel is busy with something else
 const SILENCE_MS = 8000; // so long without a beat: the page says that nothing is heard, and waits on
 const GRAVE = "The kernel was restarted or stopped: this is only a picture of what it was. Every decision is on disk.";
-const HOLD_MS = 50; // what Python sends in answer to a key is shown at once, in one frame; what it sends later, by itself
 const PANEL_PX = { usual: 468, least: 300, picture: 330 }; // width of the panel; what it leaves to the picture
 const ROOM_KEY = "opnav-workbench-room"; // what this browser remembers of the room that the parts have
 const LAB = "[data-opnav-lab]"; // the notebook that `opnav lab` has opened, among others that may stand beside it
@@ -83,32 +82,6 @@ class Life {
     grave.append(document.createElement("p"), alone ? again : "Run the notebook's cells again (Run > Run All Cells).");
     this.root.append(grave);
     if (alone) again.focus({ preventScroll: true });
-  }
-}
-
-// What arrives in answer to a key, of the picture and of all regions, is painted together, when the answer is there: as it
-// comes, in two frames, of which the browser has the second only when it has drawn the first.
-class Hold {
-  constructor() {
-    this.tasks = new Set();
-  }
-
-  begin() {
-    this.timer ??= setTimeout(() => this.end(), HOLD_MS);
-  }
-
-  // Carries out a task now, or with the others.
-  show(task) {
-    if (this.timer === undefined) task();
-    else this.tasks.add(task);
-  }
-
-  end() {
-    clearTimeout(this.timer);
-    this.timer = undefined;
-    const tasks = [...this.tasks];
-    this.tasks.clear();
-    for (const task of tasks) task();
   }
 }
 
@@ -232,7 +205,6 @@ function adopt(root, post) {
   root.tabIndex = 0;
   root.setAttribute("data-lm-suppress-shortcuts", "true"); // else JupyterLab cuts cells on x and d,d
   root.owRoom = new Room(root);
-  root.owHold = new Hold();
   root.addEventListener(
     "keydown",
     (event) => {
@@ -359,7 +331,6 @@ function render({ model, el }) {
     try {
       model.send(message);
       life()?.ask();
-      root()?.owHold?.begin();
     } catch {
       dead(); // the front end knows that the kernel is gone
     }
@@ -396,16 +367,10 @@ function render({ model, el }) {
     if (shell && model.get("keymap").length)
       shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), alone: model.get("picture_alone"), room: model.get("page_keys"), typing: model.get("typing_keys") };
   };
-  const shown = () => {
-    const hold = root()?.owHold;
-    if (hold) hold.show(paint);
-    else paint();
-  };
-  model.on("change:html", shown);
+  model.on("change:html", paint);
   model.on("change:keymap", keys);
   model.on("msg:custom", (message) => {
     if (message.beat) return life()?.beat();
-    root()?.owHold?.end();
     if (root()?.owKeymap?.typing.includes(message.key)) root().owTyped = undefined; // it is answered: no field has come
     life()?.answer();
   });
