@@ -15,7 +15,7 @@ const COMPASS_PX = { corner: 62, arrow: 34, name: 46 }; // its middle from the f
 const GAP_PX = 10; // between two pictures side by side
 const MOST_WIDTHS = 3; // of the frame that are remembered: with the panel, without it, with more of it
 const AT_ONCE = 1 << 18; // pixels that are put into blocks in one go while nobody works: about a millisecond
-const AROUND_SHOWN = 0.1; // of what is in sight is painted beyond it, on each side: a small pan paints nothing, a zoom little
+const AROUND_SHOWN = 0.25; // of what is in sight is painted beyond it, on each side: a small pan paints nothing
 
 class ImagePage extends ImageCursor {
   constructor(page, doc, state, host) {
