@@ -38,6 +38,10 @@ _RANGE = re.compile(r"(\d+)(?:\s*-\s*(\d+))?")
 # Share of a scan's length that is left out in the picture, so that the body stays in sight.
 SHOWN_FROM = {"focus": 0.0, "used": 0.6, "rejected": 0.6, "unused": 0.9}
 FEWEST_NUMBERS, MOST_NUMBERS = 4, 12  # scans that have their number in the picture
+BEYOND, LEVEL = (
+    0.1,
+    0.35,
+)  # numbers: shares of a scan beyond its end; of its length across, below which they are centered
 NUMBER_SHARE = 0.11  # of the picture's longer side, that a number takes along the circle of the scans' ends
 CLICK_PX = 6.0  # a click so near to a scan, on screen-sized pictures, means it
 
@@ -114,15 +118,20 @@ def scan_layer(places_px: FloatArray, status: Iterable[str], focus: int, picture
     styles = ["focus" if i == focus else names.get(word, "unused") for i, word in enumerate(words)]
     inner = np.array([SHOWN_FROM[style] for style in styles])[:, None]
     begins = ends[:, 0] + inner * (ends[:, 1] - ends[:, 0])
-    outward = ends[:, 1] + 0.06 * (ends[:, 1] - ends[:, 0])
+    along = ends[:, 1] - ends[:, 0]
+    outward = ends[:, 1] + BEYOND * along
+    across = along[:, 0] / np.maximum(np.hypot(*along.T), 1e-9)
+    sides = np.where(np.abs(across) < LEVEL, "center", np.where(across > 0.0, "left", "right"))
     step = max(1, round(len(ends) / _numbered(ends, picture_px)))
+    numbered = [i for i in range(len(ends)) if i % step == 0 or i == focus]
     return Layer(
         [
             (float(a[0]), float(a[1]), float(b[0]), float(b[1]))
             for a, b in zip(begins, ends[:, 1], strict=True)
         ],
         styles,
-        [(float(x), float(y), str(i)) for i, (x, y) in enumerate(outward) if i % step == 0 or i == focus],
+        [(*outward[i].tolist(), str(i)) for i in numbered],
+        sides[numbered].tolist(),
     )
 
 

@@ -170,6 +170,10 @@ LABEL_BELOW_PX = 16.0  # screen px
 # Screen px to the left lower corner of a body's name, from its limb below and above, or from the mark of a point; and to
 # that of a pole's letter, whose middle is at the pole then.
 BELOW_PX, ABOVE_PX, BESIDE_PX, POLE_PX = (-8.0, 18.0), (-8.0, -5.0), (12.0, 5.0), (-4.0, 5.0)
+ABOVE_RIGHT_PX, MIDDLE_PX = (
+    4.0,
+    4.0,
+)  # of tools' texts: beside their place, or with their middle at its height
 
 
 def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Columns]:
@@ -183,9 +187,11 @@ def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Colum
     segments["dash"] = [mark.dash for mark in marks]
     segments["width"] = [FOCUS_WIDTH if style == "focus" else LINE_WIDTH for style in styles]
     labels = [label for layer in shown for label in layer.labels]
-    return segments, label_columns(
-        [label[:2] for label in labels], [label[2] for label in labels], (4.0, -4.0)
-    )
+    sides = [side for layer in shown for side in layer.sides or [""] * len(layer.labels)]
+    right = [0.0 if side else ABOVE_RIGHT_PX for side in sides]
+    down = [MIDDLE_PX if side else -ABOVE_RIGHT_PX for side in sides]
+    texts = label_columns([label[:2] for label in labels], [label[2] for label in labels], (right, down))
+    return segments, texts | {"side": [side or "left" for side in sides]}
 
 
 def label_columns(

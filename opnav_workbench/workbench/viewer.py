@@ -24,19 +24,27 @@ class Layer:
     styles
         One per segment: ``used``, ``unused``, ``rejected`` or ``focus``.
     labels : sequence of (pixel, line, text)
+    sides
+        One per label: which side of the text is at its place, ``left``, ``right`` or ``center``; without, a text stands
+        above its place, to the right.
     """
 
-    __slots__ = ("labels", "segments", "styles")
+    __slots__ = ("labels", "segments", "sides", "styles")
 
     def __init__(
-        self, segments: Sequence[Segment] = (), styles: Sequence[str] = (), labels: Sequence[Label] = ()
+        self,
+        segments: Sequence[Segment] = (),
+        styles: Sequence[str] = (),
+        labels: Sequence[Label] = (),
+        sides: Sequence[str] = (),
     ) -> None:
         self.segments, self.styles, self.labels = tuple(segments), tuple(styles), tuple(labels)
+        self.sides = tuple(sides)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Layer):
             return NotImplemented
-        return (self.segments, self.styles, self.labels) == (other.segments, other.styles, other.labels)
+        return all(getattr(self, name) == getattr(other, name) for name in self.__slots__)
 
     __hash__ = None  # type: ignore[assignment]
 

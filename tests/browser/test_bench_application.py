@@ -245,7 +245,7 @@ def test_a_file_that_fails_shows_no_other_picture(bench):
     page = bench.page
     go(page, "third.fit")
     said(page, "third.fit cannot be opened")
-    page.locator(".opnav-message").wait_for()
+    in_place_of_picture(page, "third.fit cannot be opened")
     seen = settled(page)
     assert seen["on_top"] == "opnav-message"
     left, top, right, bottom = page.evaluate(

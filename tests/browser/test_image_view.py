@@ -391,6 +391,19 @@ def test_looks_in_light_and_dark(opened):
         .map(e => e.textContent)"""
     )
     assert cut == []
+    # nor by what it lies in: where the words themselves end
+    cut = nb.page.evaluate(
+        """() => [...document.querySelectorAll('.opnav-readout div')].filter((line) => {
+          const words = document.createRange();
+          words.selectNodeContents(line);
+          const { right } = words.getBoundingClientRect();
+          for (let around = line; around; around = around.parentElement)
+            if (getComputedStyle(around).overflow !== 'visible' && around.getBoundingClientRect().right < right - 1)
+              return true;
+          return false;
+        }).map((line) => line.textContent)"""
+    )
+    assert cut == []
     nb.dark(False)
 
 

@@ -112,7 +112,8 @@ def test_center_is_found_and_shown(body_hands):
     method = body_hands.session.state.bodies[-1].method
     assert body_hands.said.startswith(f"PLUTO, {method.replace('_', ' ')}: pixel")
     body_hands.press("4")
-    assert f'<td title="{method}">PLUTO</td><td>ok</td>' in body_hands.panel
+    how = f'<span class="how">{method.replace("_", " ")}</span>'
+    assert f"<td>PLUTO{how}</td><td>ok</td>" in body_hands.panel
 
 
 def test_marks_and_names():

@@ -68,6 +68,11 @@ def test_layer_tells_used_rejected_and_focus_apart():
     )  # the outer part: the body stays in sight
     assert layer.segments[2][:2] == pytest.approx((200.0, 100.0))  # the whole of the one that is looked at
     assert [label[2] for label in layer.labels] == [str(i) for i in range(12)]
+    for (pixel, _, text), side in zip(
+        layer.labels, layer.sides, strict=True
+    ):  # each grows away from the scans
+        across = pixel - PLACES[int(text), 0, 0]
+        assert side == ("center" if abs(across) < 20.0 else "left" if across > 0.0 else "right")
     assert chosen_scans(status) == [0, 1, 3, 4, 6, 7, 9, 10]
 
 

@@ -131,11 +131,12 @@ class InspectCard {
     const outline = [edges.flatMap((edge) => [edge, edge]), [0, ...heights.flatMap((h) => [h, h]), 0]];
     this.plot.draw(this.width, { x: this.range, y: [0, top], xLabel: "DN", yLabel: "log pixels", curves: [["bars", ...outline], this.shadeCurve(low, high, top)], bare: true });
     this.limitLines(low, high);
+    const told = (dn) => dnShort(dn, (high - low) / 10); // no digits that cannot be seen between black and white
     const share = (count) => `${((100 * count) / Math.max(sorted.length, 1)).toPrecision(2)} % of pixels`;
     this.tell([
-      ["black", `${dnShort(low)} DN, ${share(countBelow(sorted, low))} below`],
-      ["white", `${dnShort(high)} DN, ${share(sorted.length - countBelow(sorted, high))} above`],
-      ["median", `${dnShort(quantile(sorted, 0.5))} DN, of ${dnShort(sorted[0])} to ${dnShort(sorted.at(-1))}`],
+      ["black", `${told(low)} DN, ${share(countBelow(sorted, low))} below`],
+      ["white", `${told(high)} DN, ${share(sorted.length - countBelow(sorted, high))} above`],
+      ["median", `${told(quantile(sorted, 0.5))} DN, of ${told(sorted[0])} to ${told(sorted.at(-1))}`],
     ]);
   }
 
