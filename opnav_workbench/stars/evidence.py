@@ -204,9 +204,21 @@ def best_identification(
     best = hypotheses[distinct[0]]
     total = float(logsumexp(np.append(evidence[distinct], 0.0)))
     confidence = float(np.exp(evidence[distinct[0]] - total))
+    beyond_chance = [hypotheses[i] for i in distinct[1:] if evidence[i] > np.log(1.0 / (1.0 - SURE_CONFIDENCE))]
+    seconds = sum(_is_second_image(best, rival) for rival in beyond_chance)
+    confidence = min(confidence, 1.0 / (1.0 + seconds))
     if len(best.pairs) == 1:
         confidence = min(confidence, SINGLE_STAR_CONFIDENCE)
     return identification_from(star_field, best, confidence)
+
+
+def _is_second_image(best: RotationHypothesis, rival: RotationHypothesis) -> bool:
+    """Tell whether a rival that is no chance has most of the stars, too, in other detections: then all are seen twice.
+
+    Evidence does not choose between them: a star more or less in one of them says nothing, as both are images of the field.
+    """
+    shared = np.isin(rival.pairs[:, 1], best.pairs[:, 1]).sum()
+    return 2 * len(rival.pairs) > len(best.pairs) and bool(2 * shared <= len(rival.pairs))
 
 
 def identification_from(star_field: StarField, best: RotationHypothesis, confidence: float) -> Identification:
