@@ -204,7 +204,9 @@ def best_identification(
     best = hypotheses[distinct[0]]
     total = float(logsumexp(np.append(evidence[distinct], 0.0)))
     confidence = float(np.exp(evidence[distinct[0]] - total))
-    beyond_chance = [hypotheses[i] for i in distinct[1:] if evidence[i] > np.log(1.0 / (1.0 - SURE_CONFIDENCE))]
+    beyond_chance = [
+        hypotheses[i] for i in distinct[1:] if evidence[i] > np.log(1.0 / (1.0 - SURE_CONFIDENCE))
+    ]
     seconds = sum(_is_second_image(best, rival) for rival in beyond_chance)
     confidence = min(confidence, 1.0 / (1.0 + seconds))
     if len(best.pairs) == 1:

@@ -92,12 +92,14 @@ def second_images(detections: Detections) -> SecondImages | None:
     second = row[first]
     mag = -2.5 * np.log10(np.maximum(detections.flux_dn, np.finfo(float).tiny))
     saturated = (detections.flags & StarFlag.SATURATED) > 0
-    known = ~(saturated[first] & saturated[second])
-    fainter = (mag[second] - mag[first])[known]
-    middle = float(np.median(fainter)) if len(fainter) else 0.0
+    known = ~(
+        saturated[first] & saturated[second]
+    )  # of two saturated images nobody knows which is the brighter
+    fainter = (mag[second] - mag[first])[known] if known.any() else np.zeros(1)
+    sigma = float(np.sqrt(0.5 * np.pi / len(fainter)) * np.hypot(FLUX_SIGMA_MAG, np.std(fainter)))
+    middle = float(np.median(fainter))
     if middle < 0.0:
-        first, second, fainter = second, first, -fainter
-    sigma = float(np.sqrt(0.5 * np.pi / max(len(fainter), 1)) * np.hypot(FLUX_SIGMA_MAG, np.std(fainter))) if len(fainter) else FLUX_SIGMA_MAG
+        first, second = second, first
     offset = np.median(places[second] - places[first], axis=0)
     return SecondImages(offset, first, second, abs(middle), sigma)
 

@@ -300,7 +300,9 @@ def test_of_two_images_as_bright_none_is_taken_but_by_the_analyst(demo_truths, t
     with pytest.raises(SessionError):
         session.repoint()
     assert session.result()["status"] == "failed"
-    assert any("second image" in message and "mark two stars" in message for message in session.state.messages)
+    assert any(
+        "second image" in message and "mark two stars" in message for message in session.state.messages
+    )
     stars = session.state.a_priori
     places = stars.places(CAMERA, truth.camera_from_j2000)
     one, two = np.argsort(np.where(CAMERA.on_detector(places), stars.mag, np.inf))[:2]

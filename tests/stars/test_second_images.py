@@ -5,7 +5,8 @@ import pytest
 
 from opnav_workbench.stars import Detections, StarFlag, identify, second_images
 
-OFFSET_PX = np.array([-7.9, 0.02])  # about along a line: which image is the upper one differs from star to star
+# About along a line: which image is the upper one differs from star to star.
+OFFSET_PX = np.array([-7.9, 0.02])
 RANDOM_PICTURES = 100
 
 
@@ -53,7 +54,10 @@ def test_three_of_many_are_chance_and_crowds_of_false_detections_too():
     for _ in range(20):  # a hundred detections on a body that nobody has masked
         crowd, others = rng.uniform(500.0, 560.0, (100, 2)), rng.uniform(0.0, 1024.0, (20, 2))
         ones = np.ones(120)
-        assert second_images(Detections(np.vstack([crowd, others]), ones, ones, ones, np.zeros(120, int))) is None
+        assert (
+            second_images(Detections(np.vstack([crowd, others]), ones, ones, ones, np.zeros(120, int)))
+            is None
+        )
 
 
 def test_saturated_images_are_not_compared():
