@@ -77,6 +77,8 @@ MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
 MIN_SHARP = 30  # detections sharper than a star that are kept in any case: few stars may be such
 PIXEL_SIGMA_PX, IMAGE_SIGMAS = 0.3, 4.0  # how far the light of a second image is left out
+IMAGES_OF_A_STAR = 4  # at most, of one that is drawn out
+LIGHT_BETWEEN = 0.5  # of a second image's: where there is more, star and image are one trail
 PROPOSAL = "the identification of the star field is a proposal"
 BRIGHTER = "the brighter images are taken"
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
@@ -159,14 +161,19 @@ def _of_detections(
         wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
         if wide is not None:
             return wide
-    if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and not inputs.told_by_stars:
-        return _from_sky_search(context, inputs, state, detections, inputs.lost)
-    if near.confidence < MIN_CONFIDENCE:
-        mirrored = (
-            _mirrored_pattern(context, inputs, state, detections) if inputs.has_a_priori_attitude else ""
-        )
+    if not near.sure and inputs.lost is not None and not inputs.told_by_stars:
+        of_sky = _from_sky_search(context, inputs, state, detections, inputs.lost)
+        if (
+            of_sky.found is not None
+            or inputs.lost.camera_from_j2000 is None
+            or near.confidence < MIN_CONFIDENCE
+        ):
+            return of_sky  # a proposal yields to what is sure
+    if not near.sure and inputs.has_a_priori_attitude:
+        mirrored = _mirrored_pattern(context, inputs, state, detections)
         if mirrored:
             return _unidentified(state, mirrored, remedy=CAMERA_FILE)
+    if near.confidence < MIN_CONFIDENCE:
         other = _of_other_brightness(context, inputs, state, detections, state.a_priori)
         if other:
             return _unidentified(state, other, remedy=OF_BRIGHTNESS)
@@ -290,15 +297,58 @@ def unusable(context: Context) -> BoolArray:
 
 def _seen(context: Context) -> _Seen:
     if context not in _SEEN:
-        found = _detected(context)
-        twice = second_images(found)
-        bad: BoolArray = context.not_stars
-        if twice is not None and twice.clear:
-            sigma_px = float(np.hypot(context.camera.psf.sigma_px, PIXEL_SIGMA_PX))
-            bad = _without_disks(bad, found.pixel_line[twice.second], IMAGE_SIGMAS * sigma_px)
-            found = found.take(np.setdiff1d(np.arange(len(found)), twice.second))
-        _SEEN[context] = _Seen(found, twice, bad)
+        _SEEN[context] = _without_second_images(context, _detected(context))
     return _SEEN[context]
+
+
+def _without_second_images(context: Context, found: Detections) -> _Seen:
+    """Leave out second images, and join the maxima of images that are drawn out; a trail may have several."""
+    bad: BoolArray = context.not_stars
+    for _ in range(IMAGES_OF_A_STAR):
+        twice = second_images(found)
+        if twice is None:
+            break
+        if not _is_dark_between(context.signal_dn, found, twice):
+            found = _joined(found, twice)
+            continue
+        if not twice.clear:
+            return _Seen(found, twice, bad)
+        sigma_px = float(np.hypot(context.camera.psf.sigma_px, PIXEL_SIGMA_PX))
+        bad = _without_disks(bad, found.pixel_line[twice.second], IMAGE_SIGMAS * sigma_px)
+        rest = found.take(np.setdiff1d(np.arange(len(found)), twice.second))
+        return _Seen(rest, twice, bad)
+    return _Seen(found, None, bad)
+
+
+def _joined(found: Detections, twice: SecondImages) -> Detections:
+    """Return detections in which both images of a star are one, in the middle of their light."""
+    places, flux = found.pixel_line.copy(), found.flux_dn.copy()
+    kept = np.ones(len(found), bool)
+    for first, second in zip(twice.first, twice.second, strict=True):
+        if kept[first] and kept[second]:
+            total = flux[first] + flux[second]
+            places[first] += (places[second] - places[first]) * flux[second] / total
+            flux[first], kept[second] = total, False
+    joined = replace(found, pixel_line=places, flux_dn=flux)
+    order = np.argsort(-flux, kind="stable")
+    return joined.take(order[kept[order]])
+
+
+def _is_dark_between(image_dn: FloatArray, found: Detections, twice: SecondImages) -> bool:
+    """Tell whether there are two images of each star, and not two maxima of one that is drawn out."""
+    first, second = found.pixel_line[twice.first], found.pixel_line[twice.second]
+    between, fainter = (_light_at(image_dn, places) for places in (0.5 * (first + second), second))
+    share = between / np.maximum(fainter, np.finfo(float).tiny)
+    return not np.isfinite(share).any() or float(np.nanmedian(share)) < LIGHT_BETWEEN
+
+
+def _light_at(image_dn: FloatArray, places_px: FloatArray) -> FloatArray:
+    """Return the mean of the 3 x 3 pixels around places (k, 2); nan where one is not known."""
+    middle = np.round(places_px).astype(np.int64)
+    steps = np.array([-1, 0, 1])
+    line = np.clip(middle[:, 1, None, None] + steps[:, None], 0, image_dn.shape[0] - 1)
+    pixel = np.clip(middle[:, 0, None, None] + steps, 0, image_dn.shape[1] - 1)
+    return np.asarray(image_dn[line, pixel].mean(axis=(1, 2)), float)
 
 
 def _without_disks(bad: BoolArray, centers_px: FloatArray, radius_px: float) -> BoolArray:

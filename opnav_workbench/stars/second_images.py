@@ -12,13 +12,13 @@ import numpy as np
 from scipy.special import gammainc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.geometry.near_places import NearPlaces
+from opnav_workbench.geometry.near_places import NearPlaces, pairs_within
 from opnav_workbench.stars.detection import Detections
 from opnav_workbench.stars.flags import StarFlag
 
-__all__ = ["SecondImages", "second_images"]
+__all__ = ["CLEARLY_SIGMAS", "SecondImages", "fainter_by", "second_images"]
 
-SEARCHED = 150  # brightest detections
+SEARCHED = 150  # brightest detections, first those as wide as stars
 SAME_PX = 0.75  # of a difference of places, each good to some tenths
 AROUND_PX = 10.0  # of a difference: there others tell how frequent it is by chance
 MIN_APART_PX = 4.0  # nearer ones are the two sides of one image
@@ -83,33 +83,41 @@ def second_images(detections: Detections) -> SecondImages | None:
     ('6 stars have a second image (8.0, -3.0) px away, of 0.4 of their light', True, [6, 7, 8, 9, 10, 11])
     """
     places = np.asarray(detections.pixel_line, float).reshape(-1, 2)
-    offset = _common_difference(places[:SEARCHED])
+    mag = -2.5 * np.log10(np.maximum(detections.flux_dn, np.finfo(float).tiny))
+    searched = np.lexsort((mag, (detections.flags & StarFlag.COSMIC_RAY) > 0))[:SEARCHED]
+    offset = _common_difference(places[searched])
     if offset is None:
         return None
     near = NearPlaces(places)
     distance, row = near.nearest(places + offset, within=SAME_PX)
     first = np.flatnonzero(np.isfinite(distance))
     second = row[first]
-    mag = -2.5 * np.log10(np.maximum(detections.flux_dn, np.finfo(float).tiny))
     saturated = (detections.flags & StarFlag.SATURATED) > 0
-    known = ~(
-        saturated[first] & saturated[second]
-    )  # of two saturated images nobody knows which is the brighter
-    fainter = (mag[second] - mag[first])[known] if known.any() else np.zeros(1)
-    sigma = float(np.sqrt(0.5 * np.pi / len(fainter)) * np.hypot(FLUX_SIGMA_MAG, np.std(fainter)))
-    middle = float(np.median(fainter))
+    middle, sigma = fainter_by(mag, saturated, first, second)
     if middle < 0.0:
         first, second = second, first
     offset = np.median(places[second] - places[first], axis=0)
     return SecondImages(offset, first, second, abs(middle), sigma)
 
 
+def fainter_by(
+    mag: FloatArray, saturated: BoolArray, first: IntArray, second: IntArray
+) -> tuple[float, float]:
+    """Return how much fainter the second images (k,) are than the first in the median, and the sigma of it, mag."""
+    # Of two saturated images nobody knows which is the brighter.
+    known = ~(saturated[first] & saturated[second])
+    fainter = (mag[second] - mag[first])[known] if known.any() else np.zeros(1)
+    sigma = np.sqrt(0.5 * np.pi / len(fainter)) * np.hypot(FLUX_SIGMA_MAG, np.std(fainter))
+    return float(np.median(fainter)), float(sigma)
+
+
 def _common_difference(places: FloatArray) -> FloatArray | None:
     """Return the difference (2,) that most pairs of places (n, 2) have in common, where chance makes none so frequent."""
     one, two = np.triu_indices(len(places), 1)
+    one, two = np.r_[one, two], np.r_[two, one]  # which is the first nobody knows yet
     apart = places[two] - places[one]
-    apart = np.vstack([apart, -apart])  # which is the first nobody knows yet
-    apart = apart[np.hypot(*apart.T) > MIN_APART_PX]
+    far = np.hypot(*apart.T) > MIN_APART_PX
+    one, apart = one[far], apart[far]
     if len(apart) < MIN_IMAGES:
         return None
     middle = np.median(apart[_fullest_cell(apart)], axis=0)
@@ -119,9 +127,19 @@ def _common_difference(places: FloatArray) -> FloatArray | None:
     area = float(np.prod(np.ptp(places, axis=0)))
     density = len(apart) / max(area, 1.0), (np.sum(around) - np.sum(same)) / (np.pi * AROUND_PX**2)
     by_chance = np.pi * SAME_PX**2 * max(density)
-    if np.sum(same) < MIN_IMAGES or len(apart) * gammainc(float(np.sum(same)), by_chance) > CHANCE:
+    count = _places_apart(places[one[same]])
+    if count < MIN_IMAGES or len(apart) * gammainc(float(count), by_chance) > CHANCE:
         return None
     return np.asarray(np.median(apart[same], axis=0), float)
+
+
+def _places_apart(places: FloatArray) -> int:
+    """Count places (n, 2), those near each other as one: the maxima of one image are no witnesses of their own."""
+    alone = np.ones(len(places), bool)
+    near = pairs_within(places, AROUND_PX)
+    for first, second in near[np.lexsort(near.T[::-1])]:
+        alone[second] &= not alone[first]
+    return int(alone.sum())
 
 
 def _fullest_cell(points: FloatArray) -> BoolArray:
