@@ -291,6 +291,18 @@ def test_the_brighter_images_are_the_stars(demo_truths, tmp_path, share):
     assert any("second image" in message for message in session.state.messages)
 
 
+def test_a_trail_is_no_second_image(demo_truths, tmp_path):
+    truth = demo_truths[1]
+    steps = range(-4, 5)
+    trail = altered(truth, tmp_path, lambda d: np.mean([np.roll(d, k, axis=1) for k in steps], axis=0))
+    with fits.open(trail, mode="update") as hdus:  # two maxima, as noise or a rate that changes makes them
+        hdus[0].data = 0.8 * hdus[0].data + 0.1 * (np.roll(hdus[0].data, 3, 1) + np.roll(hdus[0].data, -3, 1))
+    session = ImageSession.open(trail, MISSION)
+    stars_and_pointing(session)
+    assert not any("second image" in message for message in session.state.messages)
+    assert attitude_error(session.camera_from_j2000, truth)[0] < RIGHT_PX
+
+
 def test_of_two_images_as_bright_none_is_taken_but_by_the_analyst(demo_truths, tmp_path):
     truth = demo_truths[1]
     session = ImageSession.open(seen_twice(truth, tmp_path, 1.0), MISSION)
