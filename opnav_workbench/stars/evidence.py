@@ -159,6 +159,7 @@ def _log_volume(star_field: StarField, limits: SearchLimits, h: RotationHypothes
 SURE_CONFIDENCE = 0.999  # the evidence of a thousand; below this an identification is a proposal
 LOG_BEYOND_CHANCE = float(np.log(1.0 / (1.0 - SURE_CONFIDENCE)))
 EITHER_CONFIDENCE = 0.5  # of two images as bright as each other
+BRIGHTER_CONFIDENCE = 0.99  # at most: which stars have a second image in their boxes is not known here
 SINGLE_STAR_CONFIDENCE = 0.99  # at most: detectors have more ways to mimic one star than statistics know
 SAME_TOLERANCES = 2.0  # hypotheses that differ by less at the detector's corners are one
 
@@ -204,15 +205,16 @@ def best_identification(
         )
         if not (np.any(near) or any(2 * len(pairs[i] & pairs[j]) > len(pairs[i]) for j in distinct)):
             distinct.append(int(i))
-    chosen, others, clear = distinct[0], distinct[1:], True
+    chosen, others, most = distinct[0], distinct[1:], 1.0
     for rival in distinct[1:]:
         if evidence[rival] > LOG_BEYOND_CHANCE and _is_second_image(hypotheses[chosen], hypotheses[rival]):
             others = [i for i in others if i != rival]
             fainter, sigma = _fainter_by(star_field, hypotheses[chosen], hypotheses[rival])
-            clear &= abs(fainter) > CLEARLY_SIGMAS * sigma
+            clear = abs(fainter) > CLEARLY_SIGMAS * sigma
+            most = min(most, BRIGHTER_CONFIDENCE if clear else EITHER_CONFIDENCE)
             chosen = chosen if fainter >= 0.0 else rival
     best, total = hypotheses[chosen], float(logsumexp(np.append(evidence[[chosen, *others]], 0.0)))
-    confidence = float(np.exp(evidence[chosen] - total)) if clear else EITHER_CONFIDENCE
+    confidence = min(float(np.exp(evidence[chosen] - total)), most)
     if len(best.pairs) == 1:
         confidence = min(confidence, SINGLE_STAR_CONFIDENCE)
     return identification_from(star_field, best, confidence)
