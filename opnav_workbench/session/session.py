@@ -452,7 +452,8 @@ class ImageSession:
             Whether there is something new for `find_stars` to begin with; False where nothing was found, or no need.
         """
         with self.lock:
-            return self._is_lost(self.state) and self._search_sky(patient=True)
+            unknown = self.state.star_field is None  # for a proposal's sake no index is made
+            return unknown and self._is_lost(self.state) and self._search_sky(patient=True)
 
     def refit_stars(
         self,
