@@ -6,7 +6,7 @@ solved pointing says where each star is.  What the analyst says goes before all 
 (`two_star_pointing`), or the field moved by hand, pixel by pixel (`nudge`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -14,7 +14,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.catalog import StarTable, deeper_catalogs
 from opnav_workbench.errors import SessionError
@@ -29,7 +29,7 @@ from opnav_workbench.scene import (
 from opnav_workbench.session.context import DETECTION_SNR, Context, zero_point_mag
 from opnav_workbench.session.inputs import Inputs, LostField
 from opnav_workbench.session.orientation import CAMERA_FILE, MIRRORS, nearest_quarter_deg
-from opnav_workbench.session.pointing import best_attitude
+from opnav_workbench.session.pointing import best_attitude, field_is_sure
 from opnav_workbench.session.state import (
     BY_HAND,
     LOST,
@@ -46,11 +46,13 @@ from opnav_workbench.session.state import (
 from opnav_workbench.stars import (
     Detections,
     Identification,
+    SecondImages,
     StarFlag,
     detect,
     identify_marked,
     identify_sky,
     in_defect_rows,
+    second_images,
 )
 from opnav_workbench.stars.pointing import places_even_behind
 
@@ -65,6 +67,7 @@ __all__ = [
     "star_detections",
     "two_star_pointing",
     "unknown_star_ids",
+    "unusable",
 ]
 
 
@@ -73,6 +76,11 @@ __all__ = [
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
 MIN_SHARP = 30  # detections sharper than a star that are kept in any case: few stars may be such
+PIXEL_SIGMA_PX, IMAGE_SIGMAS = 0.3, 4.0  # how far the light of a second image is left out
+IMAGES_OF_A_STAR = 4  # at most, of one that is drawn out
+LIGHT_BETWEEN = 0.5  # of a second image's: where there is more, star and image are one trail
+PROPOSAL = "the identification of the star field is a proposal"
+BRIGHTER = "the brighter images are taken"
 # An analyst brings the field nearer than this to its stars; the pattern then says how near.
 HAND_SHIFT_PX, HAND_TWIST_DEG = 15.0, 0.5
 
@@ -84,8 +92,7 @@ def identify_field(context: Context, inputs: Inputs, state: SessionState) -> Fie
     if state.pointing is not None:
         radius = context.settings.refined_radius_px
         attitude = state.pointing.camera_from_j2000
-        lost = state.star_field is not None and state.star_field.search == LOST
-        said = (_wrong_attitude(context, inputs, attitude),) if lost else ()
+        said = _said_of_field(context, inputs, state, attitude)
         return _expected_stars(context, state.a_priori, attitude, state.star_field, radius, *said)
     if state.star_field is not None and state.star_field.search == MARKED:
         radius = context.settings.search_radius_px
@@ -95,6 +102,20 @@ def identify_field(context: Context, inputs: Inputs, state: SessionState) -> Fie
     if state.star_field is not None and state.star_field.search == BY_HAND:
         return _around_moved_field(context, inputs, state, state.star_field)
     return _from_pattern(context, inputs, state)
+
+
+def _said_of_field(
+    context: Context, inputs: Inputs, state: SessionState, attitude: FloatArray
+) -> Iterator[str]:
+    """Say again, once the pointing is solved, what is still to be known of the field that it rests on."""
+    found, twice = state.star_field, _seen(context).twice
+    if found is not None and found.search == LOST:
+        yield _wrong_attitude(context, inputs, attitude)
+    if not field_is_sure(state):
+        assert found is not None
+        yield f"{PROPOSAL}, of confidence {found.confidence:.2f}: confirm by eye or mark two stars"
+    if twice is not None and twice.clear:
+        yield f"{twice.words}: {BRIGHTER}"
 
 
 def _expected_stars(
@@ -117,7 +138,22 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
     if inputs.without_sky and inputs.lost is None:
         message = "the attitude is unknown: no star is looked for; search the whole sky (search_sky, or L)."
         return replace(_unidentified(state, ""), messages=(message,))
-    settings, detections = context.settings, star_detections(context)
+    detections, twice = star_detections(context), _seen(context).twice
+    if twice is not None and not twice.clear:
+        why = f"{twice.words}, and nothing tells which of the two is where the camera looked"
+        return _unidentified(state, why, remedy=ONE_OF_TWO)
+    match = _of_detections(context, inputs, state, detections)
+    if twice is None or match.found is None:
+        return match
+    return replace(match, messages=(*match.messages, f"{twice.words}: {BRIGHTER}"))
+
+
+def _of_detections(
+    context: Context, inputs: Inputs, state: SessionState, detections: Detections
+) -> FieldMatch:
+    """Find the field whose pattern the detections have."""
+    assert state.a_priori is not None
+    settings = context.settings
     near = _matched_pattern(
         context, inputs, state, detections, state.a_priori, settings.max_shift_px, settings.max_twist_deg
     )
@@ -125,21 +161,26 @@ def _from_pattern(context: Context, inputs: Inputs, state: SessionState) -> Fiel
         wide = _from_wide_search(context, inputs, state, detections, inputs.wide_stars)
         if wide is not None:
             return wide
-    if near.confidence < MIN_CONFIDENCE and inputs.lost is not None and not inputs.told_by_stars:
-        return _from_sky_search(context, inputs, state, detections, inputs.lost)
-    if near.confidence < MIN_CONFIDENCE:
-        mirrored = (
-            _mirrored_pattern(context, inputs, state, detections) if inputs.has_a_priori_attitude else ""
-        )
+    if not near.sure and inputs.lost is not None and not inputs.told_by_stars:
+        of_sky = _from_sky_search(context, inputs, state, detections, inputs.lost)
+        if (
+            of_sky.found is not None
+            or inputs.lost.camera_from_j2000 is None
+            or near.confidence < MIN_CONFIDENCE
+        ):
+            return of_sky  # a proposal yields to what is sure
+    if not near.sure and inputs.has_a_priori_attitude:
+        mirrored = _mirrored_pattern(context, inputs, state, detections)
         if mirrored:
             return _unidentified(state, mirrored, remedy=CAMERA_FILE)
+    if near.confidence < MIN_CONFIDENCE:
         other = _of_other_brightness(context, inputs, state, detections, state.a_priori)
         if other:
             return _unidentified(state, other, remedy=OF_BRIGHTNESS)
         remedy = f"{deeper_words(context, inputs)}, {WIDER}"
         return _unidentified(state, _why_unsure(near), _search_limits(context, inputs), remedy)
     found = found_field(inputs, near, "a priori")
-    messages = () if near.sure else (f"the identification of the star field is a proposal: {near.message}",)
+    messages = () if near.sure else (f"{PROPOSAL}: {near.message}",)
     return _expected_stars(
         context, state.a_priori, found.camera_from_j2000, found, settings.search_radius_px, *messages
     )
@@ -232,14 +273,94 @@ def _wrong_attitude(context: Context, inputs: Inputs, attitude: FloatArray) -> s
     )
 
 
-_DETECTIONS: WeakKeyDictionary[Context, Detections] = WeakKeyDictionary()
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What is detected in a picture, without second images of stars where one of the two is clearly the fainter."""
+
+    detections: Detections
+    twice: SecondImages | None
+    unusable: BoolArray  # pixels for the fits of stars
+
+
+_SEEN: WeakKeyDictionary[Context, _Seen] = WeakKeyDictionary()
 
 
 def star_detections(context: Context) -> Detections:
-    """Return the brightest detections of the picture; none where no pixel is usable."""
-    if context not in _DETECTIONS:
-        _DETECTIONS[context] = _detected(context)
-    return _DETECTIONS[context]
+    """Return the brightest detections of the picture, without second images of stars; none where no pixel is usable."""
+    return _seen(context).detections
+
+
+def unusable(context: Context) -> BoolArray:
+    """Return which pixels show no star, or the second image of one (`SecondImages`)."""
+    return _seen(context).unusable
+
+
+def _seen(context: Context) -> _Seen:
+    if context not in _SEEN:
+        _SEEN[context] = _without_second_images(context, _detected(context))
+    return _SEEN[context]
+
+
+def _without_second_images(context: Context, found: Detections) -> _Seen:
+    """Leave out second images, and join the maxima of images that are drawn out; a trail may have several."""
+    bad: BoolArray = context.not_stars
+    for _ in range(IMAGES_OF_A_STAR):
+        twice = second_images(found)
+        if twice is None:
+            break
+        if not _is_dark_between(context.signal_dn, found, twice):
+            found = _joined(found, twice)
+            continue
+        if not twice.clear:
+            return _Seen(found, twice, bad)
+        sigma_px = float(np.hypot(context.camera.psf.sigma_px, PIXEL_SIGMA_PX))
+        bad = _without_disks(bad, found.pixel_line[twice.second], IMAGE_SIGMAS * sigma_px)
+        rest = found.take(np.setdiff1d(np.arange(len(found)), twice.second))
+        return _Seen(rest, twice, bad)
+    return _Seen(found, None, bad)
+
+
+def _joined(found: Detections, twice: SecondImages) -> Detections:
+    """Return detections in which both images of a star are one, in the middle of their light."""
+    places, flux = found.pixel_line.copy(), found.flux_dn.copy()
+    kept = np.ones(len(found), bool)
+    for first, second in zip(twice.first, twice.second, strict=True):
+        if kept[first] and kept[second]:
+            total = flux[first] + flux[second]
+            places[first] += (places[second] - places[first]) * flux[second] / total
+            flux[first], kept[second] = total, False
+    joined = replace(found, pixel_line=places, flux_dn=flux)
+    order = np.argsort(-flux, kind="stable")
+    return joined.take(order[kept[order]])
+
+
+def _is_dark_between(image_dn: FloatArray, found: Detections, twice: SecondImages) -> bool:
+    """Tell whether there are two images of each star, and not two maxima of one that is drawn out."""
+    first, second = found.pixel_line[twice.first], found.pixel_line[twice.second]
+    between, fainter = (_light_at(image_dn, places) for places in (0.5 * (first + second), second))
+    share = between / np.maximum(fainter, np.finfo(float).tiny)
+    return not np.isfinite(share).any() or float(np.nanmedian(share)) < LIGHT_BETWEEN
+
+
+def _light_at(image_dn: FloatArray, places_px: FloatArray) -> FloatArray:
+    """Return the mean of the 3 x 3 pixels around places (k, 2); nan where one is not known."""
+    middle = np.round(places_px).astype(np.int64)
+    steps = np.array([-1, 0, 1])
+    line = np.clip(middle[:, 1, None, None] + steps[:, None], 0, image_dn.shape[0] - 1)
+    pixel = np.clip(middle[:, 0, None, None] + steps, 0, image_dn.shape[1] - 1)
+    return np.asarray(image_dn[line, pixel].mean(axis=(1, 2)), float)
+
+
+def _without_disks(bad: BoolArray, centers_px: FloatArray, radius_px: float) -> BoolArray:
+    """Return a mask with the pixels around some places (k, 2) added."""
+    bad, reach = bad.copy(), int(np.ceil(radius_px))
+    line, pixel = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    for center in centers_px:
+        x, y = pixel + int(np.round(center[0])), line + int(np.round(center[1]))
+        near = (np.hypot(x - center[0], y - center[1]) <= radius_px) & (x >= 0) & (y >= 0)
+        near &= (x < bad.shape[1]) & (y < bad.shape[0])
+        bad[y[near], x[near]] = True
+    return bad
 
 
 def _detected(context: Context) -> Detections:
@@ -407,6 +528,7 @@ def deeper_words(context: Context, inputs: Inputs) -> str:
 
 
 OF_BRIGHTNESS = "correct the exposure (its unit?) in header or mission file, or the camera file's zero point"
+ONE_OF_TWO = "mark two stars (two_star_pointing)"
 WIDER = "search the whole sky (--attitude none), widen the search (max_shift_px), or mark two stars (two_star_pointing)"
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.errors import CenterfindingError, SessionError
 from opnav_workbench.session.context import Context, zero_point_mag
-from opnav_workbench.session.star_field import star_detections
+from opnav_workbench.session.star_field import star_detections, unusable
 from opnav_workbench.session.state import FieldMatch, StarStatus
 from opnav_workbench.stars import (
     ExpectedPlaces,
@@ -115,7 +115,7 @@ def fit_all(
     centers, psf = fit_stars(
         context.signal_dn,
         context.noise_dn,
-        context.not_stars,
+        unusable(context),
         start,
         prior,
         saturated=context.picture.saturated,
@@ -146,7 +146,7 @@ def fit_some(
             else fit_gaussian(
                 context.signal_dn,
                 context.noise_dn,
-                context.not_stars,
+                unusable(context),
                 start,
                 psf,
                 saturated=context.picture.saturated,
@@ -170,7 +170,7 @@ def with_flanks(context: Context, centers: StarCenters, start: FloatArray, psf: 
     wings = fit_wings(
         context.signal_dn,
         context.noise_dn,
-        context.not_stars,
+        unusable(context),
         context.picture.saturated,
         np.where(found, centers.pixel_line[rows], start[rows]),
         psf,
@@ -204,7 +204,7 @@ def told_apart(
     return with_companions(
         context.signal_dn,
         context.noise_dn,
-        context.not_stars,
+        unusable(context),
         centers,
         rows,
         mag,
@@ -239,7 +239,7 @@ def _psf_of_unlisted(context: Context, centers: StarCenters) -> ShapePrior:
         fitted = fit_gaussian(
             context.signal_dn,
             context.noise_dn,
-            context.not_stars,
+            unusable(context),
             places,
             prior,
             saturated=context.picture.saturated,
@@ -285,7 +285,7 @@ def _correlated(
     return correlate(
         context.signal_dn,
         context.noise_dn,
-        context.not_stars,
+        unusable(context),
         places,
         template,
         search_radius_px=radius_px,
@@ -298,7 +298,7 @@ def _psf_fit(context: Context, start: FloatArray) -> StarCenters:
     return fit_psf(
         context.signal_dn,
         context.noise_dn,
-        context.not_stars,
+        unusable(context),
         start,
         context.camera.psf_model,
         saturated=context.picture.saturated,
@@ -324,7 +324,7 @@ def _template(
     for best in sorted(np.flatnonzero(clean), key=lambda star: -centers.snr[star])[:MOST_TEMPLATES]:
         try:
             template = extract_template(
-                context.signal_dn, context.not_stars, centers.pixel_line[best], radius
+                context.signal_dn, unusable(context), centers.pixel_line[best], radius
             )
         except CenterfindingError:  # pixels around it are masked
             if options.template is not None:

@@ -45,6 +45,8 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
     What the centerfinders take and return: `StarCenters`, `ShapePrior`, `NoiseModel`.
 ``saturated``
     Stars with saturated cores, measured by what is not saturated: `fit_wings`.
+``second_images``
+    Pictures in which all stars are seen twice: `second_images`.
 ``star_field``
     Catalog stars and detections as directions, ready to be identified.
 ``star_model``
@@ -69,6 +71,7 @@ from opnav_workbench.stars.psf_consensus import (
 )
 from opnav_workbench.stars.results import NoiseModel, PsfShape, ShapePrior, StarCenters, StarImages
 from opnav_workbench.stars.saturated import WingCenters, fit_wings
+from opnav_workbench.stars.second_images import SecondImages, second_images
 
 __all__ = [
     "CenterBound",
@@ -77,6 +80,7 @@ __all__ = [
     "Identification",
     "NoiseModel",
     "PsfShape",
+    "SecondImages",
     "ShapePrior",
     "StarCenters",
     "StarFlag",
@@ -101,6 +105,7 @@ __all__ = [
     "identify_marked",
     "identify_sky",
     "in_defect_rows",
+    "second_images",
     "shape_from_stars",
     "strange_images",
     "with_companions",

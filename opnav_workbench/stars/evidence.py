@@ -26,6 +26,7 @@ from scipy.special import logsumexp, ndtr
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.stars.hypotheses import MAGNITUDE_SIGMA
+from opnav_workbench.stars.second_images import CLEARLY_SIGMAS, fainter_by
 from opnav_workbench.stars.star_field import RotationHypothesis, SearchLimits, StarField, shift_and_twist
 
 __all__ = [
@@ -156,6 +157,9 @@ def _log_volume(star_field: StarField, limits: SearchLimits, h: RotationHypothes
 # ---- How sure an identification is, and in which words.
 
 SURE_CONFIDENCE = 0.999  # the evidence of a thousand; below this an identification is a proposal
+LOG_BEYOND_CHANCE = float(np.log(1.0 / (1.0 - SURE_CONFIDENCE)))
+EITHER_CONFIDENCE = 0.5  # of two images as bright as each other
+BRIGHTER_CONFIDENCE = 0.99  # at most: which stars have a second image in their boxes is not known here
 SINGLE_STAR_CONFIDENCE = 0.99  # at most: detectors have more ways to mimic one star than statistics know
 SAME_TOLERANCES = 2.0  # hypotheses that differ by less at the detector's corners are one
 
@@ -201,12 +205,38 @@ def best_identification(
         )
         if not (np.any(near) or any(2 * len(pairs[i] & pairs[j]) > len(pairs[i]) for j in distinct)):
             distinct.append(int(i))
-    best = hypotheses[distinct[0]]
-    total = float(logsumexp(np.append(evidence[distinct], 0.0)))
-    confidence = float(np.exp(evidence[distinct[0]] - total))
+    chosen, others, most = distinct[0], distinct[1:], 1.0
+    for rival in distinct[1:]:
+        if evidence[rival] > LOG_BEYOND_CHANCE and _is_second_image(hypotheses[chosen], hypotheses[rival]):
+            others = [i for i in others if i != rival]
+            fainter, sigma = _fainter_by(star_field, hypotheses[chosen], hypotheses[rival])
+            clear = abs(fainter) > CLEARLY_SIGMAS * sigma
+            most = min(most, BRIGHTER_CONFIDENCE if clear else EITHER_CONFIDENCE)
+            chosen = chosen if fainter >= 0.0 else rival
+    best, total = hypotheses[chosen], float(logsumexp(np.append(evidence[[chosen, *others]], 0.0)))
+    confidence = min(float(np.exp(evidence[chosen] - total)), most)
     if len(best.pairs) == 1:
         confidence = min(confidence, SINGLE_STAR_CONFIDENCE)
     return identification_from(star_field, best, confidence)
+
+
+def _is_second_image(best: RotationHypothesis, rival: RotationHypothesis) -> bool:
+    """Tell whether a rival that is no chance has most of the stars, too, in other detections: then all are seen twice.
+
+    Evidence does not choose between them: a star more or less in one of them says nothing, as both are images of the field.
+    """
+    shared = np.isin(rival.pairs[:, 1], best.pairs[:, 1]).sum()
+    return 2 * len(rival.pairs) > len(best.pairs) and bool(2 * shared <= len(rival.pairs))
+
+
+def _fainter_by(
+    star_field: StarField, one: RotationHypothesis, other: RotationHypothesis
+) -> tuple[float, float]:
+    """Return how much fainter the images are that the other hypothesis takes for the stars, and the sigma of it, mag."""
+    _, row, of_other = np.intersect1d(one.pairs[:, 0], other.pairs[:, 0], return_indices=True)
+    return fainter_by(
+        star_field.detected_mag, star_field.saturated, one.pairs[row, 1], other.pairs[of_other, 1]
+    )
 
 
 def identification_from(star_field: StarField, best: RotationHypothesis, confidence: float) -> Identification:

@@ -15,6 +15,7 @@ from opnav_workbench.psf import add_sources
 from opnav_workbench.rehearsal import DEMO_PICTURES
 from opnav_workbench.scene import apparent_stars
 from opnav_workbench.session import ImageSession, Settings
+from opnav_workbench.stars import Identification
 
 MISSION = load_mission("new_horizons")
 CAMERA = MISSION.camera_for(DEMO_PICTURES[1].header)
@@ -261,3 +262,72 @@ def test_a_catalog_of_another_epoch_or_a_wrong_camera_is_never_confidently_wrong
 def stretched(ra, dec, factor):
     """Directions as a camera of another focal length would have to see them."""
     return ra.mean() + factor * (ra - ra.mean()), dec.mean() + factor * (dec - dec.mean())
+
+
+# ---- Every star seen twice: a ghost, or a camera that jumped.
+
+
+def seen_twice(truth, to: Path, share: float) -> Path:
+    """The picture and, 8 px away, its like of some part of the light."""
+    return altered(
+        truth, to, lambda data: data + share * np.roll(data - np.median(data), (5, -6), axis=(0, 1))
+    )
+
+
+def stars_and_pointing(session):
+    session.predict()
+    for _ in range(2):
+        session.find_stars()
+        session.repoint()
+
+
+@pytest.mark.parametrize("share", [0.6, 0.2])
+def test_the_brighter_images_are_the_stars(demo_truths, tmp_path, share):
+    truth = demo_truths[1]
+    session = ImageSession.open(seen_twice(truth, tmp_path, share), MISSION)
+    stars_and_pointing(session)
+    assert_right(session, truth)
+    assert session.result()["status"] == "ok"
+    assert any("second image" in message for message in session.state.messages)
+
+
+def test_a_trail_is_no_second_image(demo_truths, tmp_path):
+    truth = demo_truths[1]
+    steps = range(-4, 5)
+    trail = altered(truth, tmp_path, lambda d: np.mean([np.roll(d, k, axis=1) for k in steps], axis=0))
+    with fits.open(trail, mode="update") as hdus:  # two maxima, as noise or a rate that changes makes them
+        hdus[0].data = 0.8 * hdus[0].data + 0.1 * (np.roll(hdus[0].data, 3, 1) + np.roll(hdus[0].data, -3, 1))
+    session = ImageSession.open(trail, MISSION)
+    stars_and_pointing(session)
+    assert not any("second image" in message for message in session.state.messages)
+    assert attitude_error(session.camera_from_j2000, truth)[0] < RIGHT_PX
+
+
+def test_of_two_images_as_bright_none_is_taken_but_by_the_analyst(demo_truths, tmp_path):
+    truth = demo_truths[1]
+    session = ImageSession.open(seen_twice(truth, tmp_path, 1.0), MISSION)
+    session.predict()
+    session.find_stars()
+    assert session.state.star_field is None
+    with pytest.raises(SessionError):
+        session.repoint()
+    assert session.result()["status"] == "failed"
+    assert any(
+        "second image" in message and "mark two stars" in message for message in session.state.messages
+    )
+    stars = session.state.a_priori
+    places = stars.places(CAMERA, truth.camera_from_j2000)
+    one, two = np.argsort(np.where(CAMERA.on_detector(places), stars.mag, np.inf))[:2]
+    session.two_star_pointing([places[one], places[two]], [str(stars.id[one]), str(stars.id[two])])
+    session.find_stars()
+    session.repoint()
+    assert attitude_error(session.camera_from_j2000, truth)[0] < RIGHT_PX
+
+
+def test_a_pointing_on_a_proposal_says_why_it_is_partial(demo_truths, tmp_path, monkeypatch):
+    truth = demo_truths[1]
+    session = ImageSession.open(truth.picture, MISSION)
+    monkeypatch.setattr(Identification, "sure", property(lambda _: False))
+    stars_and_pointing(session)
+    assert session.result()["status"] == "partial"
+    assert any("is a proposal" in message for message in session.state.messages)
