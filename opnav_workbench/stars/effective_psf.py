@@ -37,6 +37,7 @@ PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
 )
 VARIANCE_STEPS = 3  # of the layers' variances in a pass
+FULL_INVERSE = 32  # rows below which halving a triangular matrix takes longer than it saves
 MAX_STEP_PX = 0.3
 JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
 MISFIT_SIGMAS = 3.0  # of all stars together
@@ -305,12 +306,25 @@ def _modes_with_variances(
     layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
     for _ in range(VARIANCE_STEPS):
         sigma = np.sqrt(variance)[layers]
-        value, vector = np.linalg.eigh(sigma[:, None] * known.matrix * sigma)
-        root = sigma[:, None] * vector / np.sqrt(1.0 + np.maximum(value, 0.0))
+        lower = np.linalg.cholesky(sigma[:, None] * known.matrix * sigma + np.eye(len(sigma)))
+        root = sigma[:, None] * _inverse_of_lower(lower).T
         amplitudes = root @ (root.T @ known.right)
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
         variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
     return amplitudes, root, variance
+
+
+def _inverse_of_lower(matrix: FloatArray) -> FloatArray:
+    """Invert a lower triangular matrix (k, k) half by half: NumPy has no inverse but that of a full one."""
+    k = len(matrix)
+    if k <= FULL_INVERSE:
+        return np.linalg.inv(matrix)
+    half = k // 2
+    first, second = _inverse_of_lower(matrix[:half, :half]), _inverse_of_lower(matrix[half:, half:])
+    inverse = np.zeros_like(matrix)
+    inverse[:half, :half], inverse[half:, half:] = first, second
+    inverse[half:, :half] = -second @ (matrix[half:, :half] @ first)
+    return inverse
 
 
 def _shape_scatter(normal: _Normal, shared: FloatArray, psf: ShapePrior) -> float:
