@@ -88,6 +88,7 @@ SELDOM = set(
     """
     astropy spiceypy skimage matplotlib PIL h5py sqlalchemy jinja2 threadpoolctl asyncio
     http.client scipy.spatial scipy.linalg scipy.sparse scipy.optimize scipy.interpolate scipy.stats scipy.signal
+    numpy.f2py numpy.testing numpy.ctypeslib numpy.polynomial numpy.ma
     multiprocessing opnav_workbench.downloads opnav_workbench.catalog.gaia_archive
     opnav_workbench.session.reconstruction opnav_workbench.session.body_steps opnav_workbench.session.landmark_steps
     opnav_workbench.session.body_models opnav_workbench.image.formats.vicar opnav_workbench.image.formats.pds3
