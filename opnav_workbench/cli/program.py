@@ -38,8 +38,8 @@ MISUSE: type[Exception] = next(
 
 # A plugin of pydantic watches models; to look for one goes through all that is installed.
 NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}
-# SciPy copies the whole namespace of NumPy, and so loads of it what neither uses: a Fortran compiler's front end, test tools.
-# These take as long as the rest of SciPy that a star frame needs.
+# SciPy copies the whole namespace of NumPy, and so loads of it what neither uses: a Fortran compiler's front end, tools
+# for tests.
 NUMPY_ON_DEMAND = ("f2py", "testing", "ctypeslib", "polynomial", "ma")
 SPICE_LIBRARY_NAMES = {"win32": "cspice.dll", "darwin": "libcspice.dylib"}  # elsewhere libcspice.so
 

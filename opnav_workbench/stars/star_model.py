@@ -266,8 +266,8 @@ class StarModel:
     basis: FloatArray  # (b, m) level, and slopes about the middle of the box
     size: int
     gain: float  # e/DN, infinite without shot noise
-    # Fluxes and background are solved at every trial place. Of two close images only flux times distance is well known: along
-    # that valley steps in all parameters at once creep.
+    # Fluxes and background are solved at every trial place. Of two close images only flux times distance is well known:
+    # along that valley steps in all parameters at once creep.
     light_solved: bool = False
 
     @classmethod
@@ -318,7 +318,10 @@ class StarModel:
     def _with_solved_light(self, index: IntArray, p: FloatArray, value: FloatArray) -> FloatArray:
         """Return parameters with the fluxes and background that fit best, where these are stars: none is negative."""
         k = self.members
-        columns = [*range(*self.flux_columns.indices(p.shape[1])), *range(*self.background_columns.indices(p.shape[1]))]
+        columns = [
+            *range(*self.flux_columns.indices(p.shape[1])),
+            *range(*self.background_columns.indices(p.shape[1])),
+        ]
         basis = np.broadcast_to(self.basis, (len(p), *self.basis.shape))
         design = np.concatenate([value, basis], axis=1)
         weighted = design / self._variance(index, _summed(p[:, self.flux_columns, None] * value))[:, None]
