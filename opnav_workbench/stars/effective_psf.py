@@ -317,7 +317,8 @@ def _modes_with_variances(
     layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
     for _ in range(VARIANCE_STEPS):
         sigma = np.sqrt(variance)[layers]
-        lower = np.linalg.cholesky(sigma[:, None] * known.matrix * sigma + np.eye(len(sigma)))
+        scaled = sigma[:, None] * known.matrix * sigma + np.eye(len(sigma))
+        lower = np.asarray(np.linalg.cholesky(scaled), np.float64)
         root = sigma[:, None] * _inverse_of_lower(lower).T
         amplitudes = root @ (root.T @ known.right)
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
@@ -329,7 +330,7 @@ def _inverse_of_lower(matrix: FloatArray) -> FloatArray:
     """Invert a lower triangular matrix (k, k) half by half: NumPy has no inverse but that of a full one."""
     k = len(matrix)
     if k <= FULL_INVERSE:
-        return np.linalg.inv(matrix)
+        return np.asarray(np.linalg.inv(matrix), np.float64)
     half = k // 2
     first, second = _inverse_of_lower(matrix[:half, :half]), _inverse_of_lower(matrix[half:, half:])
     inverse = np.zeros_like(matrix)

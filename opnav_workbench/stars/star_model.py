@@ -329,7 +329,7 @@ class StarModel:
         right = np.matmul(weighted, self.data[index][:, :, None])[:, :, 0]
         solved = _solve_linear(normal, right, np.ones(right.shape, bool))
         out = p.copy()
-        out[:, columns] = np.where((solved[:, :k] > 0.0).all(axis=1)[:, None], solved, p[:, columns])
+        out[:, columns] = np.where(np.all(solved[:, :k] > 0.0, axis=1, keepdims=True), solved, p[:, columns])
         return out
 
     def _shares(self, index: IntArray, p: FloatArray) -> list[FloatArray]:
