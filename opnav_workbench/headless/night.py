@@ -436,6 +436,8 @@ class _NightLock:
         self._lock = self._taken()
 
     def _taken(self) -> FolderLock:
+        if self._work.is_symlink():  # what stands there is emptied: not where a link leads
+            raise SessionError(f"{self._work} is a link; remove it, a night makes its own folder there.")
         try:
             return FolderLock(make_folder(self._work))
         except FolderInUse as error:

@@ -219,6 +219,32 @@ def test_names_that_mean_something_elsewhere_are_names(images, out):
     assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("files", [1]), ("files", {"../../in/a.fit": "SHA"}), ("image", 5)],
+)
+def test_a_record_that_no_night_wrote_ends_no_night_and_deletes_nothing(images, out, name, value):
+    night(images, out)
+    (images / "b.fit").write_text("picture b")
+    record = json.loads((out / "a" / "night.json").read_text())
+    record["record"][name] = json.loads(json.dumps(value).replace("SHA", record["record"]["image_sha256"]))
+    (out / "a" / "night.json").write_text(json.dumps(record))
+    shutil.copytree(out / "a", out / ".attic" / "a" / "20260101T000000Z-000000")  # a night that was killed
+    made = night(images, out, how=OTHER)
+    assert [verdict.name for verdict in made.verdicts] == ["b"]
+    assert states(images, out, **OTHER) == {"a": "kept", "b": "done"}
+    assert (images / "a.fit").read_text() == "picture a"
+
+
+def test_a_link_in_the_place_of_the_nights_own_folder_is_not_emptied(images, out, tmp_path):
+    (tmp_path / "mine" / "data").mkdir(parents=True)
+    out.mkdir()
+    (out / ".work").symlink_to(tmp_path / "mine")
+    with pytest.raises(SessionError, match="link"):
+        night(images, out)
+    assert (tmp_path / "mine" / "data").is_dir()
+
+
 def test_what_stands_in_a_pictures_place_is_left_alone(images, out, tmp_path):
     """A link out of the folder and a file; hidden files, as copying programs make them, are no pictures."""
     (images / "b.fit").write_text("picture b")
