@@ -404,6 +404,7 @@ def run_night(
                 night.verdicts.append(verdict)
                 say(verdict)
         _carry(night, taken)
+        night.unarchived.extend(f"{folder.name}: {reason}" for folder, reason in taken.take_late())
 
 
 def _carry(night: Night, archive: NightArchive) -> None:

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import sys
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from opnav_workbench.campaign import Campaign
+from opnav_workbench.campaign import Campaign, database
 from opnav_workbench.cli import app, nightly
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
@@ -217,6 +218,30 @@ def test_names_that_mean_something_elsewhere_are_names(images, out):
     write_night_summary(night(images, out))
     assert set(states(images, out).values()) == {"done"}
     assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
+
+
+def test_an_archive_that_another_program_holds_delays_a_night_once(images, out, monkeypatch):
+    """It waited for each picture, and for each of twenty attempts: hours, where a shell had a transaction open."""
+    for name in "bc":
+        (images / f"{name}.fit").write_text(f"picture {name}")
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.3)
+    held: list[sqlite3.Connection] = []
+    begun: list[float] = []
+
+    def meanwhile(job, folder):
+        result_of(job, folder)
+        if not held:
+            held.append(sqlite3.connect(out / "campaign.sqlite", isolation_level=None))
+            held[0].execute("BEGIN IMMEDIATE")
+
+    made = night(images, out, StubPool(meanwhile), begun=lambda: begun.append(time.monotonic()))
+    assert time.monotonic() - begun[0] < 5.0
+    assert [reason.partition(":")[0] for reason in made.unarchived] == ["a", "b", "c"]
+    assert "another program" in made.unarchived[0]
+    held[0].close()
+    assert night(images, out).unarchived == []
+    with Campaign(out) as campaign:
+        assert {entry.image for entry in campaign.entries()} == {"a.fit", "b.fit", "c.fit"}
 
 
 @pytest.mark.parametrize(
