@@ -95,7 +95,10 @@ class NightWatch:
         states = dict(Counter(picture.state for picture in plan.pictures))
         self._log.info("begins: %d pictures, %s; version %s", len(plan.pictures), states, __version__)
         self._log.info(
-            "mission %s, kernels %s, catalog %s", plan.spec.mission, plan.spec.kernels, plan.spec.catalog
+            "mission %s, kernels %s, catalog %s",
+            plan.spec.mission,
+            plan.spec.kernels or "none",
+            plan.spec.catalog,
         )
         self._write()
         threading.Thread(target=self._beat, daemon=True).start()
