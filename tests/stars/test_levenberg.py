@@ -106,7 +106,7 @@ def test_what_is_hopeless_ends_where_it_is_and_leaves_the_others_as_they_are():
 
 
 def test_a_curved_valley_does_not_lose_each_second_step():
-    """Rosenbrock's: a refused step is followed by careful ones. It took 93 and 131 trials where a tenth of the damping came."""
+    """Rosenbrock's: a refused step is followed by careful ones. Without them it took 93 and 131 trials."""
 
     def model(index, p):
         x, y = p.T
@@ -130,7 +130,7 @@ def test_light_that_is_solved_fits_best_where_it_is_light():
     lights = np.array([[700.0, 200.0], [700.0, -200.0]]) @ unit + 5.0  # the second box holds no two stars
     boxes = cut_at(check_image(lights.reshape(14, 7), 2.0, None, None), np.array([[0, 0], [0, 7]]), 7)
     model = replace(StarModel.of(boxes, None, GaussianProfile(shape), "level", 2), light_solved=True)
-    given = model.linear_start(np.stack([places, places + [0.0, 7.0]]))
+    given = model.linear_start(np.stack([places, places + np.array([0.0, 7.0])]))
     given[:, model.flux_columns] = [300.0, 300.0]
     state = model(np.arange(2), given)
     assert state.parameters is not None
