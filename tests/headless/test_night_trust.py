@@ -558,6 +558,18 @@ def test_a_second_night_spoils_nothing_of_the_first(images, out, monkeypatch):
     assert (status, "1 ok" in said) == (0, True)
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("log", ["/dev/full", "/nowhere/night.log"])
+def test_a_log_that_cannot_be_written_costs_no_night(images, out, capfd, log):
+    """It printed a traceback for every line, and ended a night that was done."""
+    with NightWatch(plan_night(spec_of(images), out), Path(log)) as watch:
+        watch.begin()
+        watch.note("something")
+    assert capfd.readouterr().err == ""
+    assert watch.fault.startswith(f"the log {log} is not whole: ")
+    assert json.loads((out / "status.json").read_text())["state"] == "finished"
+
+
 def test_a_night_without_a_terminal_is_heard_of(images, out):
     heard, plan = [], plan_night(spec_of(images), out)
     with NightWatch(plan, heartbeat=heard.append, every_s=0.02) as watch:
