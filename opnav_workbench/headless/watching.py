@@ -112,6 +112,7 @@ class NightWatch:
             self._file = _LogFile(self._path)
         except OSError as error:
             self._unopened = error.strerror or str(error)
+            self._log.addHandler(logging.NullHandler())  # without any, logging prints
         else:
             formatter = logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%SZ")
             formatter.converter = time.gmtime
