@@ -31,7 +31,7 @@ run folders; then `trends` over it, `export_observables` from it, and ``stacking
 
 from opnav_workbench.campaign.archive import Campaign, ImageEntry, export_observables
 from opnav_workbench.campaign.comparison import Comparison, Difference, compare
-from opnav_workbench.campaign.database import ARCHIVE_FILE, ArchiveDamaged
+from opnav_workbench.campaign.database import ARCHIVE_FILE, ArchiveBusy, ArchiveDamaged
 from opnav_workbench.campaign.detection_curve import Completeness, completeness
 from opnav_workbench.campaign.ingest import Ingested, IngestReport
 from opnav_workbench.campaign.outliers import screen
@@ -40,6 +40,7 @@ from opnav_workbench.campaign.trend_series import Series, Trends, trends
 
 __all__ = [
     "ARCHIVE_FILE",
+    "ArchiveBusy",
     "ArchiveDamaged",
     "Campaign",
     "Comparison",

@@ -12,6 +12,7 @@ Reference: https://sqlite.org/wal.html, https://sqlite.org/lang_transaction.html
 """
 
 import contextlib
+import itertools
 import random
 import sqlite3
 import time
@@ -26,7 +27,7 @@ from opnav_workbench.campaign.schema import APPLICATION_ID, SCHEMA_VERSION, meta
 from opnav_workbench.errors import SessionError
 from opnav_workbench.paths import exists, regular_size
 
-__all__ = ["ARCHIVE_FILE", "ArchiveDamaged", "Database"]
+__all__ = ["ARCHIVE_FILE", "ArchiveBusy", "ArchiveDamaged", "Database"]
 
 
 # ---- From any older schema to the present one, step by step, in the transaction that opens the archive.
@@ -86,8 +87,9 @@ MIGRATIONS: dict[int, Callable[[sa.Connection], None]] = {1: _from_1}
 # ---- The archive's file: opened by many processes at once, brought to the present schema, never half-written.
 
 ARCHIVE_FILE = "campaign.sqlite"  # in the folder of its runs
-BUSY_TIMEOUT_S = 60.0  # a picture is ingested in milliseconds: a minute is a queue of thousands
-ATTEMPTS = 20  # of a transaction that SQLite refuses at once (lock of a recovery, change of journal mode)
+# A picture is ingested in milliseconds: a minute is a queue of thousands. SQLite itself waits that long as a rule; what it
+# refuses at once (lock of a recovery, change of journal mode) is tried again meanwhile.
+BUSY_TIMEOUT_S = 60.0
 PAUSE_S = 0.05
 SQLITE_MAGIC = b"SQLite format 3\x00"
 FORMAT_BYTES = slice(18, 20)  # of a file's head: to write, to read
@@ -100,6 +102,10 @@ DatabaseError: TypeAlias = sa.exc.DBAPIError | sqlite3.Error
 
 class ArchiveDamaged(SessionError):  # noqa: N818  what it is, not that it is an error
     """The archive's file is no whole SQLite file any more; it can be made anew from the run folders."""
+
+
+class ArchiveBusy(SessionError):  # noqa: N818  nothing is wrong with it
+    """Another program has been writing into the archive for longer than anybody waits."""
 
 
 class Database:
@@ -171,16 +177,17 @@ class Database:
             raise self._impossible(error) from error
 
     def _retried(self, work: Callable[[], Answer]) -> Answer:
-        for attempt in range(ATTEMPTS):
+        patience = time.monotonic() + BUSY_TIMEOUT_S
+        for attempt in itertools.count():
             try:
                 return work()
             except UnicodeDecodeError as error:  # a damaged name, in SQLite's own message
                 raise self._impossible(error) from error
             except (sa.exc.DBAPIError, sqlite3.Error) as error:
-                if not _busy(error) or attempt == ATTEMPTS - 1:
+                if not _busy(error) or time.monotonic() >= patience:
                     raise self._named(error) from error
                 # Two that were refused together shall not come back together.
-                time.sleep(PAUSE_S * (1.0 + attempt) * random.uniform(0.5, 1.5))  # noqa: S311
+                time.sleep(PAUSE_S * min(1.0 + attempt, 20.0) * random.uniform(0.5, 1.5))  # noqa: S311
         raise AssertionError("unreachable")
 
     def _prepare(self) -> None:
@@ -196,6 +203,11 @@ class Database:
 
     def _named(self, error: DatabaseError) -> SessionError:
         code = _code(error)
+        if _busy(error):
+            return ArchiveBusy(
+                f"campaign archive {self.path}: another program has been writing into it for {BUSY_TIMEOUT_S:.0f} s; wait "
+                "for it or end it, and call this again."
+            )
         damaged = code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
         damaged |= code == sqlite3.SQLITE_READONLY and _has_strange_format(self.path)
         kind = ArchiveDamaged if damaged else SessionError

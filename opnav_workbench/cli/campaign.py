@@ -72,6 +72,18 @@ STATUS_STYLES = {
     "uncertain": "yellow",
     "failed": "bold red",
 }
+# One and several rows of an answer, as people call them.
+ROW_WORDS = {
+    "images": ("picture", "pictures"),
+    "pointings": ("pointing", "pointings"),
+    "bodies": ("target", "targets"),
+    "stars": ("star", "stars"),
+    "differences": ("difference", "differences"),
+    "decisions": ("decision", "decisions"),
+    "journal": ("step", "steps"),
+    "provenance": ("picture", "pictures"),
+    "history": ("older answer", "older answers"),
+}
 # What a terminal has room for: heading, column, format.
 SHOWN_COLUMNS: dict[str, tuple[tuple[str, str, str], ...]] = {
     "images": (
@@ -203,7 +215,8 @@ def print_answer(what: str, table: Table, format_: str, out: Path | None) -> Non
         sys.stdout.write(text)
     else:
         write_text(out, text)
-        Console(soft_wrap=True).print(f"{len(table)} {what} in {shown(str(out))}", highlight=False)
+        console = Console(soft_wrap=True)
+        console.print(f"{_counted(len(table), what)} in {shown(str(out))}", highlight=False)
 
 
 def print_outliers(console: Console, found: Trends) -> None:
@@ -215,8 +228,15 @@ def print_outliers(console: Console, found: Trends) -> None:
         )
 
 
+def _counted(count: int, what: str) -> str:
+    return f"{count or 'no'} {ROW_WORDS[what][count != 1]}"
+
+
 def _print_table(what: str, table: Table) -> None:
     console = Console(soft_wrap=False)
+    if len(table) == 0:  # headings alone say nothing
+        console.print(_counted(0, what), highlight=False)
+        return
     shown = SHOWN_COLUMNS[what]
     printed = Printed(box=None, header_style="bold", pad_edge=False)
     for position, (heading, _, form) in enumerate(shown):
@@ -230,7 +250,7 @@ def _print_table(what: str, table: Table) -> None:
     for row in _rows(table):
         printed.add_row(*[_cell(row[name], form) for _, name, form in shown])
     console.print(printed)
-    console.print(f"{len(table)} {what}", highlight=False)
+    console.print(_counted(len(table), what), highlight=False)
 
 
 def _cell(value: Any, form: str) -> str:
@@ -485,6 +505,10 @@ def query(
     """
     filters = {"status": status, "body": body, "method": method, "image": image}
     filters |= {"since": since, "until": until, "mission": mission, "camera": camera}
+    if what not in QUESTIONS and Path(what).exists():  # other commands take a night as their argument
+        raise SessionError(
+            f"{what} is a place, no question; ask it so: opnav campaign query images --archive {what}."
+        )
     with Campaign(archive, create=False) as campaign:
         table = campaign.query(what, **filters)
     if attention:
@@ -580,9 +604,11 @@ def compare(
     if format_ == "table" and out is None:
         console = Console(soft_wrap=True)
         _print_comparison(console, found)
-        print_answer("differences", moved[:SHOWN_DIFFERENCES], format_, out)
         if len(moved):
+            print_answer("differences", moved[:SHOWN_DIFFERENCES], format_, out)
             console.print(COMPARED, highlight=False)
+        else:
+            console.print(f"no difference above {above:g} sigma", highlight=False)
         if len(moved) > SHOWN_DIFFERENCES:
             console.print(f"the largest of {len(moved)}; --format csv gives all", highlight=False)
     else:

@@ -317,6 +317,7 @@ def _run_plan(
     )
     night, status = Night(plan), 0
     heartbeat = None if console.is_terminal else lambda words: console.print(shown(words), highlight=False)
+    watch = NightWatch(plan, log, heartbeat)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("pictures", total=len(plan.todo))
 
@@ -330,7 +331,7 @@ def _run_plan(
 
         with ended_by_signals() as pass_over:
             try:
-                with NightWatch(plan, log, heartbeat) as watch:
+                with watch:
                     run_night(night, pool, archive=archive, say=say, begun=watch.begin)
             except KeyboardInterrupt as stop:
                 status = getattr(stop, "status", EXIT_STOPPED)
@@ -339,6 +340,8 @@ def _run_plan(
                 )
             finally:
                 pass_over()
+                if watch.fault:
+                    console.print(f"[yellow]note[/] {shown(watch.fault)}", highlight=False)
                 # Where another night runs, the summary is that one's.
                 summary = write_night_summary(night) if night.begun else night_summary_dict(night)
     return summary, status

@@ -21,6 +21,7 @@ from typer.main import get_group
 
 from opnav_workbench.cli.terminal import EXIT_BAD_INPUT, EXIT_STOPPED, error_console, shown
 from opnav_workbench.errors import OpNavError
+from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.parts import missing_part
 from opnav_workbench.threads import begin_with_one
 from opnav_workbench.version import __version__
@@ -37,6 +38,9 @@ MISUSE: type[Exception] = next(
 
 # A plugin of pydantic watches models; to look for one goes through all that is installed.
 NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "__all__"}
+# SciPy copies the whole namespace of NumPy, and so loads of it what neither uses: a Fortran compiler's front end, tools
+# for tests.
+NUMPY_ON_DEMAND = ("f2py", "testing", "ctypeslib", "polynomial", "ma")
 SPICE_LIBRARY_NAMES = {"win32": "cspice.dll", "darwin": "libcspice.dylib"}  # elsewhere libcspice.so
 
 
@@ -134,6 +138,7 @@ class CommandOnCall(TyperCommand):
 
     def loaded(self) -> Any:
         """Import the command's module and return the command."""
+        _spare_numpy()
         with _uncollected():
             module = import_module(f"opnav_workbench.cli.{self._entry.module}")
         found = getattr(module, self._entry.attribute)
@@ -156,6 +161,14 @@ def _uncollected() -> Iterator[None]:
         gc.freeze()
         if collecting:
             gc.enable()
+
+
+def _spare_numpy() -> None:
+    """Let parts of NumPy be loaded when something of them is used, and not when SciPy copies their names."""
+    numpy = import_module("numpy")
+    for name in NUMPY_ON_DEMAND:
+        if name not in vars(numpy):  # an import of the part puts the part itself there
+            setattr(numpy, name, module_on_demand(f"numpy.{name}"))
 
 
 class CommandTable(TyperGroup):

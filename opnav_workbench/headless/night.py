@@ -404,6 +404,7 @@ def run_night(
                 night.verdicts.append(verdict)
                 say(verdict)
         _carry(night, taken)
+        night.unarchived.extend(f"{folder.name}: {reason}" for folder, reason in taken.take_late())
 
 
 def _carry(night: Night, archive: NightArchive) -> None:
@@ -436,6 +437,8 @@ class _NightLock:
         self._lock = self._taken()
 
     def _taken(self) -> FolderLock:
+        if self._work.is_symlink():  # what stands there is emptied: not where a link leads
+            raise SessionError(f"{self._work} is a link; remove it, a night makes its own folder there.")
         try:
             return FolderLock(make_folder(self._work))
         except FolderInUse as error:

@@ -1,11 +1,11 @@
 """A night's campaign archive: a damaged one is put aside and made anew from the folders of the pictures."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from opnav_workbench.campaign import ARCHIVE_FILE, ArchiveDamaged, Campaign, find_runs
+from opnav_workbench.campaign import ARCHIVE_FILE, ArchiveBusy, ArchiveDamaged, Campaign, find_runs
 from opnav_workbench.errors import OpNavError, SessionError
 
 __all__ = ["NightArchive"]
@@ -33,6 +33,7 @@ class NightArchive:
 
     def __init__(self, out: Path, path: Path | None, say: Callable[[str], None]) -> None:
         self._out, self._path, self._say = out, path or out / ARCHIVE_FILE, say
+        self._late: list[Path] = []
         if self._path.is_dir():
             self._path /= ARCHIVE_FILE
         self._campaign = self._opened()
@@ -68,7 +69,32 @@ class NightArchive:
         return campaign
 
     def take(self, folder: Path) -> str:
-        """Take a picture's folder in; return why not, empty where it was."""
+        """Take a picture's folder in; return why not, empty where it was, or waits for `take_late`."""
+        if self._late:  # the next minute would be lost as the last one was
+            self._late.append(folder)
+            return ""
+        try:
+            return self._taken(folder)
+        except ArchiveBusy:
+            self._late.append(folder)
+            return ""
+
+    def take_late(self) -> Iterator[tuple[Path, str]]:
+        """Take in what had to wait, as another program wrote into the archive; yield what is not, and why.
+
+        One that is busy still is waited for once: the next night finds the pictures in their folders.
+        """
+        late, busy = self._late, ""
+        self._late = []
+        for folder in late:
+            try:
+                reason = busy or self._taken(folder)
+            except ArchiveBusy as error:
+                reason = busy = str(error)
+            if reason:
+                yield folder, reason
+
+    def _taken(self, folder: Path) -> str:
         try:
             try:
                 taken = self._campaign.ingest_run(folder)
@@ -76,6 +102,8 @@ class NightArchive:
                 self._campaign.close()
                 self._campaign = self._made_anew(error)
                 taken = self._campaign.ingest_run(folder)
+        except ArchiveBusy:
+            raise
         except OpNavError as error:
             return str(error)
         return taken.reason if taken.result == "skipped" else ""

@@ -7,7 +7,10 @@ from those that one did.
 import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
+
+from pydantic import TypeAdapter
 
 from opnav_workbench.files import json_value, sha256_of, text_of, write_json
 from opnav_workbench.session.history import JOURNAL_FILE
@@ -74,13 +77,24 @@ class NightRecord:
 
 
 def read_record(folder: Path) -> NightRecord | None:
-    """Return the record of a picture's folder; None where there is none that can be read."""
+    """Return the record of a picture's folder; None where there is none that can be read.
+
+    What it holds decides what is deleted, so all of it must be what a night writes.
+    """
     try:
         data = json_value(text_of(folder / RECORD_FILE))
-        values = data["record"] | {"stamp": tuple(data["record"].get("stamp", ()))}
-        return NightRecord(**values) if data["schema"] == SCHEMA else None
+        if data["schema"] != SCHEMA or not data["record"].keys() <= NightRecord.__dataclass_fields__.keys():
+            return None
+        record = _whole_record().validate_python(data["record"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+    inside = (not path.is_absolute() and ".." not in path.parts for path in map(Path, record.files))
+    return record if all(inside) else None
+
+
+@cache
+def _whole_record() -> TypeAdapter[NightRecord]:
+    return TypeAdapter(NightRecord)
 
 
 def write_record(folder: Path, record: NightRecord) -> None:

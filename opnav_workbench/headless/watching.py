@@ -11,6 +11,7 @@ import logging
 import os
 import shutil
 import socket
+import sys
 import threading
 import time
 from collections import Counter
@@ -50,6 +51,25 @@ METRICS = (
 )
 
 
+class _LogFile(logging.FileHandler):
+    """A log whose file cannot be written any more costs no night: the first reason is kept, and nothing printed."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, encoding="utf-8")
+        self.fault = ""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: ARG002, N802  as logging calls it
+        """Keep why a line was not written."""
+        self.fault = self.fault or str(sys.exc_info()[1])
+
+    def close(self) -> None:
+        """Close the file; what could not be written is tried once more."""
+        try:
+            super().close()
+        except OSError as error:
+            self.fault = self.fault or str(error)
+
+
 class NightWatch:
     """Writes how a night goes, as long as the block.
 
@@ -80,22 +100,31 @@ class NightWatch:
         self._lock = threading.Lock()
         self._over = threading.Event()
         self._path = log or plan.out / LOG_FILE
+        self._file: _LogFile | None = None
+        self._unopened = ""
         self._log = logging.Logger("night")  # its own, so that no other program's set-up reaches it
 
     def begin(self) -> None:
         """Write from now on: the folder is this night's."""
         plan, self._state = self._plan, "running"
         self._began, self._began_at = time.time(), time.monotonic()
-        with suppress(OSError):
-            handler = logging.FileHandler(self._path, encoding="utf-8")
+        try:
+            self._file = _LogFile(self._path)
+        except OSError as error:
+            self._unopened = error.strerror or str(error)
+            self._log.addHandler(logging.NullHandler())  # without any, logging prints
+        else:
             formatter = logging.Formatter("%(asctime)s %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%SZ")
             formatter.converter = time.gmtime
-            handler.setFormatter(formatter)
-            self._log.addHandler(handler)
+            self._file.setFormatter(formatter)
+            self._log.addHandler(self._file)
         states = dict(Counter(picture.state for picture in plan.pictures))
         self._log.info("begins: %d pictures, %s; version %s", len(plan.pictures), states, __version__)
         self._log.info(
-            "mission %s, kernels %s, catalog %s", plan.spec.mission, plan.spec.kernels, plan.spec.catalog
+            "mission %s, kernels %s, catalog %s",
+            plan.spec.mission,
+            plan.spec.kernels or "none",
+            plan.spec.catalog,
         )
         self._write()
         threading.Thread(target=self._beat, daemon=True).start()
@@ -115,8 +144,14 @@ class NightWatch:
             self._log.error("%s: %s %s", self._state, kind.__name__, error)
         self._write()
         self._log.info("ends: %s", self.line())
-        for handler in self._log.handlers:
-            handler.close()
+        if self._file is not None:
+            self._file.close()
+
+    @property
+    def fault(self) -> str:
+        """Why the log is not whole; empty where it is."""
+        why = self._unopened if self._file is None else self._file.fault
+        return f"the log {self._path} is not whole: {why}" if why else ""
 
     def said(self, verdict: NotebookOutcome) -> None:
         """Take down what became of a picture."""

@@ -23,6 +23,7 @@ __all__ = [
     "PsfEvidence",
     "layout_of_modes",
     "mode_layers",
+    "mode_products",
     "mode_shares",
     "phases_of_a_pixel",
 ]
@@ -102,6 +103,20 @@ def mode_shares(sigma_px: float, center: FloatArray, first: FloatArray, size: in
         lines = np.einsum("nyi,kij->nykj", along_line, _modes(layer), optimize=True)
         parts.append(np.einsum("nykj,nxj->nyxk", lines, along_pixel, optimize=True))
     return np.concatenate(parts, axis=-1)
+
+
+def mode_products(
+    sigma_px: float, center: FloatArray, first: FloatArray, size: int, light: FloatArray
+) -> FloatArray:
+    """Return the sums (k, r) of all modes' shares, those of `mode_shares`, times each of r lights (r, n, size, size)."""
+    parts = []
+    for layer in LAYERS:
+        along_pixel, along_line = (
+            _axis(layer, sigma_px, first[:, axis] - center[:, axis], size)[0] for axis in (0, 1)
+        )
+        at_nodes = np.sum(np.swapaxes(along_line, 1, 2) @ light @ along_pixel, axis=1)
+        parts.append(np.tensordot(_modes(layer), at_nodes, ([1, 2], [1, 2])))
+    return np.concatenate(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from opnav_workbench.psf import PsfCorrection, PsfEvidence, box_integrals
 from opnav_workbench.psf.correction import (
     PRIOR_AMPLITUDES,
     mode_layers,
+    mode_products,
     mode_shares,
     phases_of_a_pixel,
 )
@@ -37,6 +38,7 @@ PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
 )
 VARIANCE_STEPS = 3  # of the layers' variances in a pass
+FULL_INVERSE = 32  # rows below which halving a triangular matrix takes longer than it saves
 MAX_STEP_PX = 0.3
 JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
 MISFIT_SIGMAS = 3.0  # of all stars together
@@ -142,7 +144,7 @@ def learn_correction(
     """
     known = np.column_stack([stars.flux_dn, stars.pixel_line, stars.background_dn])[rows]
     places = None if places is None else places.take(rows)
-    usual = _usual_modes(psf, settings.size)
+    usual = _UsualModes.about(psf, settings.size)
     layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
     if kept is not None:
@@ -163,7 +165,7 @@ def learn_correction(
             scatter = _shape_scatter(normal, shared, psf)
             psf = replace(psf, sigma_log_scale=scatter, sigma_ellipticity=scatter)
         correction = PsfCorrection(
-            psf.sigma_px, usual @ amplitudes, usual @ root, own, len(rows), psf.sigma_log_scale
+            psf.sigma_px, usual.of(amplitudes), usual.of(root), own, len(rows), psf.sigma_log_scale
         )
         known = known + _limited(normal.own_steps(shared))
     return correction
@@ -171,27 +173,36 @@ def learn_correction(
 
 def prior_correction(psf: ShapePrior, size: int, kept: PsfEvidence) -> PsfCorrection:
     """Return the correction of the Gaussian `psf` that other pictures teach, with its covariance."""
-    usual, variance = _usual_modes(psf, size), np.square(PRIOR_AMPLITUDES)
+    usual, variance = _UsualModes.about(psf, size), np.square(PRIOR_AMPLITUDES)
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
-    return PsfCorrection(psf.sigma_px, usual @ amplitudes, usual @ root)
+    return PsfCorrection(psf.sigma_px, usual.of(amplitudes), usual.of(root))
 
 
 def unknown_correction(psf: ShapePrior, size: int) -> PsfCorrection:
     """Return no correction, with the covariance of what PSFs leave of a Gaussian where no star tells."""
     sigma = np.asarray(PRIOR_AMPLITUDES)[mode_layers()]
-    return PsfCorrection(psf.sigma_px, np.zeros(len(sigma)), _usual_modes(psf, size) * sigma)
+    return PsfCorrection(psf.sigma_px, np.zeros(len(sigma)), _UsualModes.about(psf, size).of(np.diag(sigma)))
 
 
-def _usual_modes(psf: ShapePrior, size: int) -> FloatArray:
-    """Projection (k, k) that takes from the modes what a Gaussian fit would call a shift or more flux."""
-    center = phases_of_a_pixel()
-    first = np.full(center.shape, -(size // 2.0))
-    gaussian = box_integrals(center, np.broadcast_to(psf.mean, (len(center), 3)), first, size)
-    shares = mode_shares(psf.sigma_px, center, first, size).reshape(len(center) * size**2, -1)
-    columns = [shares.T @ part.ravel() for part in (gaussian.value, gaussian.d_pixel, gaussian.d_line)]
-    taken, _ = np.linalg.qr(np.stack(columns, axis=1))
-    return np.asarray(np.eye(len(taken)) - taken @ taken.T)
+@dataclass(frozen=True, slots=True, eq=False)
+class _UsualModes:
+    """Projection that takes from the modes what a Gaussian fit would call a shift or more flux."""
+
+    taken: FloatArray  # (k, 3) orthonormal
+
+    @classmethod
+    def about(cls, psf: ShapePrior, size: int) -> Self:
+        """Return that about a Gaussian, for boxes of a size."""
+        center = phases_of_a_pixel()
+        first = np.full(center.shape, -(size // 2.0))
+        gaussian = box_integrals(center, np.broadcast_to(psf.mean, (len(center), 3)), first, size)
+        light = np.stack([gaussian.value, gaussian.d_pixel, gaussian.d_line])
+        return cls(np.linalg.qr(mode_products(psf.sigma_px, center, first, size, light))[0])
+
+    def of(self, values: FloatArray) -> FloatArray:
+        """Return what is left of values (k, ...), one a mode."""
+        return np.asarray(values - self.taken @ (self.taken.T @ values))
 
 
 def _normal_equations(
@@ -199,7 +210,7 @@ def _normal_equations(
     known: FloatArray,
     psf: ShapePrior,
     correction: PsfCorrection,
-    usual: FloatArray,
+    usual: _UsualModes,
     settings: FitSettings,
     learned: bool,
 ) -> _Normal:
@@ -221,7 +232,8 @@ def _normal_equations(
     residual = boxes.data_dn.reshape(n, -1) - light - known[:, 3:]
     variance += (_model_error(residual, light, variance) * light) ** 2 if learned else 0.0
     residual += (flux * corrected[0]).reshape(n, -1)
-    modes = flux * (mode_shares(psf.sigma_px, center, first, size).reshape(n, size**2, -1) @ usual)
+    shares = mode_shares(psf.sigma_px, center, first, size).reshape(n * size**2, -1)
+    modes = flux * usual.of(shares.T).T.reshape(n, size**2, -1)
     weighted = jacobian / variance[:, None]
     scatter = np.diag([FLAT, FLAT, FLAT, *psf.information, FLAT])
     root = (modes / np.sqrt(variance)[:, :, None]).reshape(n * size**2, -1)
@@ -305,12 +317,26 @@ def _modes_with_variances(
     layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
     for _ in range(VARIANCE_STEPS):
         sigma = np.sqrt(variance)[layers]
-        value, vector = np.linalg.eigh(sigma[:, None] * known.matrix * sigma)
-        root = sigma[:, None] * vector / np.sqrt(1.0 + np.maximum(value, 0.0))
+        scaled = sigma[:, None] * known.matrix * sigma + np.eye(len(sigma))
+        lower = np.asarray(np.linalg.cholesky(scaled), np.float64)
+        root = sigma[:, None] * _inverse_of_lower(lower).T
         amplitudes = root @ (root.T @ known.right)
         square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
         variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
     return amplitudes, root, variance
+
+
+def _inverse_of_lower(matrix: FloatArray) -> FloatArray:
+    """Invert a lower triangular matrix (k, k) half by half: NumPy has no inverse but that of a full one."""
+    k = len(matrix)
+    if k <= FULL_INVERSE:
+        return np.asarray(np.linalg.inv(matrix), np.float64)
+    half = k // 2
+    first, second = _inverse_of_lower(matrix[:half, :half]), _inverse_of_lower(matrix[half:, half:])
+    inverse = np.zeros_like(matrix)
+    inverse[:half, :half], inverse[half:, half:] = first, second
+    inverse[half:, :half] = -second @ (matrix[half:, :half] @ first)
+    return inverse
 
 
 def _shape_scatter(normal: _Normal, shared: FloatArray, psf: ShapePrior) -> float:

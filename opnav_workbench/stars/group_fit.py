@@ -9,7 +9,7 @@ Hits   Pixels that no star explains: cosmic rays, hot pixels, unlisted neighbors
 Reference: studentized residuals, Cook & Weisberg (1982), Residuals and Influence in Regression, chapter 2.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -266,6 +266,7 @@ def fit_groups(
     corners = box_corners(pixels, guess.reshape(-1, 2), settings.size).reshape(-1, k, 2)
     boxes = _group_boxes(pixels, corners, settings.size)
     model = StarModel.of(boxes, settings.noise_model, profile, settings.background, k)
+    model = replace(model, light_solved=darkest > -np.inf)
     p0 = model.linear_start(guess)
     lower, upper = _parameter_bounds(model, p0, guess, start, settings.search_radius_px)
     mean, information = np.zeros_like(p0), np.zeros_like(p0)

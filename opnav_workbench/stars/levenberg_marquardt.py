@@ -20,6 +20,8 @@ __all__ = ["BatchSolution", "ModelEvaluation", "solve_batched"]
 
 START_DAMPING = 1e-2
 DAMPING_DOWN, DAMPING_UP = 0.1, 8.0
+# After a refused step: in a curved valley a tenth of the damping is refused again and again, and each second step is lost.
+CAREFUL_DOWN, CAREFUL_STEPS = 0.5, 2
 MAX_ITERATIONS = 200  # ten are usual; large residuals (real optics) converge linearly and take some tens
 MAX_DAMPING = 1e10  # a step this short changes nothing that a float64 can hold
 # Expected decrease of the cost at which a fit has converged: a step of 3e-3 sigma, which is still taken.
@@ -30,11 +32,15 @@ MIN_EIGENVALUE = 1e-11
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelEvaluation:
-    """A model at given parameters: residual and weight (k, m), Jacobian of the model (k, q, m)."""
+    """A model at given parameters: residual and weight (k, m), Jacobian of the model (k, q, m).
+
+    `parameters` (k, q) where the model chose some better itself: those it is linear in, for the others as given.
+    """
 
     residual: FloatArray
     weight: FloatArray
     jacobian: FloatArray
+    parameters: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +88,7 @@ def solve_batched(
     """
     n = len(start)
     p = np.clip(start, lower, upper)
-    damping = np.full(n, START_DAMPING)
+    damping, careful = np.full(n, START_DAMPING), np.zeros(n, np.int64)
     converged, iterations = np.zeros(n, bool), np.zeros(n, np.int64)
     active = np.arange(n)
     state = model(active, p)
@@ -98,6 +104,7 @@ def solve_batched(
         trial = np.clip(here + step, lower[i], upper[i])
         step = trial - here
         ahead = model(i, trial)
+        trial = trial if ahead.parameters is None else ahead.parameters
         before = _cost(state.residual, state.weight, here, prior_mean[i], prior_information[i])
         after = _cost(ahead.residual, state.weight, trial, prior_mean[i], prior_information[i])
         better = after <= before
@@ -107,7 +114,9 @@ def solve_batched(
 
         p[i[better]] = trial[better]
         state = _choose(better, ahead, state)
-        damping[i] = np.where(better, damping[i] * DAMPING_DOWN, damping[i] * DAMPING_UP)
+        down = np.where(careful[i] > 0, CAREFUL_DOWN, DAMPING_DOWN)
+        damping[i] *= np.where(better, down, DAMPING_UP)
+        careful[i] = np.where(better, np.maximum(careful[i] - 1, 0), CAREFUL_STEPS)
         # A tiny rejected step means that rounding, not the model, decides: that is convergence too.
         converged[i] = done
         iterations[i] += 1

@@ -8,6 +8,7 @@ The parameters of a box are flux, pixel and line of each of its k stars, the sha
 SLOPE_PIXEL, SLOPE_LINE.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -265,6 +266,9 @@ class StarModel:
     basis: FloatArray  # (b, m) level, and slopes about the middle of the box
     size: int
     gain: float  # e/DN, infinite without shot noise
+    # Fluxes and background are solved at every trial place. Of two close images only flux times distance is well known:
+    # along that valley steps in all parameters at once creep.
+    light_solved: bool = False
 
     @classmethod
     def of(
@@ -300,22 +304,47 @@ class StarModel:
 
     def __call__(self, index: IntArray, p: FloatArray) -> ModelEvaluation:
         """Return residuals, weights and Jacobian of the boxes `index` (g,) at parameters `p` (g, q)."""
-        star, jacobian = self._stars(index, p)
+        value, *derivatives = self._shares(index, p)
+        chosen = self._with_solved_light(index, p, value) if self.light_solved else None
+        p = p if chosen is None else chosen
+        star, jacobian = self._stars(p, value, derivatives)
         residual = self.data[index] - star - p[:, self.background_columns] @ self.basis
-        variance = self.variance[index]
-        if np.isfinite(self.gain):
-            variance = variance + np.maximum(star, 0.0) / self.gain
-        return ModelEvaluation(residual, 1.0 / variance, jacobian)
+        return ModelEvaluation(residual, 1.0 / self._variance(index, star), jacobian, chosen)
 
-    def _stars(self, index: IntArray, p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Light of the stars (g, m), and the Jacobian (g, q, m)."""
+    def _variance(self, index: IntArray, star: FloatArray) -> FloatArray:
+        variance = self.variance[index]
+        return variance + np.maximum(star, 0.0) / self.gain if np.isfinite(self.gain) else variance
+
+    def _with_solved_light(self, index: IntArray, p: FloatArray, value: FloatArray) -> FloatArray:
+        """Return parameters with the fluxes and background that fit best, where these are stars: none is negative."""
+        k = self.members
+        columns = [
+            *range(*self.flux_columns.indices(p.shape[1])),
+            *range(*self.background_columns.indices(p.shape[1])),
+        ]
+        basis = np.broadcast_to(self.basis, (len(p), *self.basis.shape))
+        design = np.concatenate([value, basis], axis=1)
+        weighted = design / self._variance(index, _summed(p[:, self.flux_columns, None] * value))[:, None]
+        normal = np.matmul(weighted, np.swapaxes(design, 1, 2))
+        right = np.matmul(weighted, self.data[index][:, :, None])[:, :, 0]
+        solved = _solve_linear(normal, right, np.ones(right.shape, bool))
+        out = p.copy()
+        out[:, columns] = np.where(np.all(solved[:, :k] > 0.0, axis=1, keepdims=True), solved, p[:, columns])
+        return out
+
+    def _shares(self, index: IntArray, p: FloatArray) -> list[FloatArray]:
+        """Shares of each star (g, k, m) and their derivatives."""
         g, k, m = len(p), self.members, self.size**2
         shape = p[:, self.shape_columns]
         center = p[:, self.center_columns.ravel()].reshape(g * k, 2)
         shapes, firsts = (a if k == 1 else np.repeat(a, k, axis=0) for a in (shape, self.first[index]))
-        value, *derivatives = (
-            a.reshape(g, k, m) for a in self.profile.evaluate(center, shapes, firsts, self.size)
-        )
+        return [a.reshape(g, k, m) for a in self.profile.evaluate(center, shapes, firsts, self.size)]
+
+    def _stars(
+        self, p: FloatArray, value: FloatArray, derivatives: Sequence[FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Light of the stars (g, m), and the Jacobian (g, q, m)."""
+        g, k, m = value.shape
         flux = p[:, self.flux_columns, None]
         jacobian = np.empty((g, p.shape[1], m))
         stars = jacobian[:, : PER_STAR * k].reshape(g, k, PER_STAR, m)

@@ -126,7 +126,7 @@ def test_query_as_table_csv_and_json(archive, tmp_path):
     shown = invoke("query", "bodies", "-a", archive, "--body", "PLUTO", "--until", "2015-04-09T01")
     assert shown.exit_code == 0, shown.output
     assert "pic_000.fit" in shown.output
-    assert "2 bodies" in shown.output
+    assert "2 targets" in shown.output
     rows = list(csv.DictReader(io.StringIO(invoke("query", "pointings", "-a", archive, "-f", "csv").stdout)))
     assert len(rows) == 20
     assert float(rows[3]["delta_pixel"]) == pytest.approx(np.random.default_rng(3).normal(0.0, 5.0))
@@ -137,8 +137,10 @@ def test_query_as_table_csv_and_json(archive, tmp_path):
     assert any(star["observed_pixel"] is None for star in stars)
     attention = invoke("query", "-a", archive, "--attention")
     assert "pic_019.fit" in attention.output
-    assert "1 images" in attention.output
+    assert "1 picture" in attention.output
+    assert invoke("query", "-a", archive, "--image", "nowhere.fit").output == "no pictures\n"
     for arguments, words in (
+        (("query", archive.parent), "ask it so"),
         (("query", "-a", archive, "-f", "xml"), "unknown format 'xml'"),
         (("query", "-a", archive, "-o", tmp_path / "t"), "a table is for the terminal"),
         (("query", "bodies", "-a", archive, "--attention"), "bodies have none"),

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import sys
 import time
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from opnav_workbench.campaign import Campaign
+from opnav_workbench.campaign import Campaign, database
 from opnav_workbench.cli import app, nightly
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
@@ -217,6 +218,56 @@ def test_names_that_mean_something_elsewhere_are_names(images, out):
     write_night_summary(night(images, out))
     assert set(states(images, out).values()) == {"done"}
     assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
+
+
+def test_an_archive_that_another_program_holds_delays_a_night_once(images, out, monkeypatch):
+    """It waited for each picture, and for each of twenty attempts: hours, where a shell had a transaction open."""
+    for name in "bc":
+        (images / f"{name}.fit").write_text(f"picture {name}")
+    monkeypatch.setattr(database, "BUSY_TIMEOUT_S", 0.3)
+    held: list[sqlite3.Connection] = []
+    begun: list[float] = []
+
+    def meanwhile(job, folder):
+        result_of(job, folder)
+        if not held:
+            held.append(sqlite3.connect(out / "campaign.sqlite", isolation_level=None))
+            held[0].execute("BEGIN IMMEDIATE")
+
+    made = night(images, out, StubPool(meanwhile), begun=lambda: begun.append(time.monotonic()))
+    assert time.monotonic() - begun[0] < 5.0
+    assert [reason.partition(":")[0] for reason in made.unarchived] == ["a", "b", "c"]
+    assert "another program" in made.unarchived[0]
+    held[0].close()
+    assert night(images, out).unarchived == []
+    with Campaign(out) as campaign:
+        assert {entry.image for entry in campaign.entries()} == {"a.fit", "b.fit", "c.fit"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("files", [1]), ("files", {"../../in/a.fit": "SHA"}), ("image", 5)],
+)
+def test_a_record_that_no_night_wrote_ends_no_night_and_deletes_nothing(images, out, name, value):
+    night(images, out)
+    (images / "b.fit").write_text("picture b")
+    record = json.loads((out / "a" / "night.json").read_text())
+    record["record"][name] = json.loads(json.dumps(value).replace("SHA", record["record"]["image_sha256"]))
+    (out / "a" / "night.json").write_text(json.dumps(record))
+    shutil.copytree(out / "a", out / ".attic" / "a" / "20260101T000000Z-000000")  # a night that was killed
+    made = night(images, out, how=OTHER)
+    assert [verdict.name for verdict in made.verdicts] == ["b"]
+    assert states(images, out, **OTHER) == {"a": "kept", "b": "done"}
+    assert (images / "a.fit").read_text() == "picture a"
+
+
+def test_a_link_in_the_place_of_the_nights_own_folder_is_not_emptied(images, out, tmp_path):
+    (tmp_path / "mine" / "data").mkdir(parents=True)
+    out.mkdir()
+    (out / ".work").symlink_to(tmp_path / "mine")
+    with pytest.raises(SessionError, match="link"):
+        night(images, out)
+    assert (tmp_path / "mine" / "data").is_dir()
 
 
 def test_what_stands_in_a_pictures_place_is_left_alone(images, out, tmp_path):
@@ -505,6 +556,18 @@ def test_a_second_night_spoils_nothing_of_the_first(images, out, monkeypatch):
 
     status, said = run(images, out, monkeypatch, work)
     assert (status, "1 ok" in said) == (0, True)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("log", ["/dev/full", "/nowhere/night.log"])
+def test_a_log_that_cannot_be_written_costs_no_night(images, out, capfd, log):
+    """It printed a traceback for every line, and ended a night that was done."""
+    with NightWatch(plan_night(spec_of(images), out), Path(log)) as watch:
+        watch.begin()
+        watch.note("something")
+    assert capfd.readouterr().err == ""
+    assert watch.fault.startswith(f"the log {log} is not whole: ")
+    assert json.loads((out / "status.json").read_text())["state"] == "finished"
 
 
 def test_a_night_without_a_terminal_is_heard_of(images, out):
