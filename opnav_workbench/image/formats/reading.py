@@ -37,7 +37,6 @@ PACKED = {
     b"\x1f\x9d": "compress",
     b"Rar!": "RAR",
 }
-TOLD = ("exposure_s", "utc", "et", "sclk")
 LABELS = (".lbl", ".LBL", ".xml", ".XML")
 
 
@@ -61,15 +60,21 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
 
 
 def _with_words_beside(file: Path, source: StoredPicture, keywords: KeywordMap) -> StoredPicture:
-    """Add a sidecar's words to a picture whose own header lacks what the mission asks for: conversions lose it."""
-    asked = [field for field in TOLD if getattr(keywords, field) is not None]
+    """Add a sidecar's words to a picture whose own header lacks time or exposure, as conversions lose them."""
     header = Header(source.header)
-    if source.keywords or not asked or any(keywords.value(header, field) is not None for field in asked):
+    told = (_tells(header, keywords, fields) for fields in (("exposure_s",), ("utc", "et", "sclk")))
+    if source.keywords is not None or all(told):
         return source
     beside = sidecar.find_sidecar(file)
     if beside is None:
         return source
     return sidecar.with_sidecar(source, sidecar.read_sidecar(beside, file.name), beside.name, keywords)
+
+
+def _tells(header: Header, keywords: KeywordMap, fields: tuple[str, ...]) -> bool:
+    """Whether a header has one of these facts, or the mission asks for none of them."""
+    asked = [field for field in fields if getattr(keywords, field) is not None]
+    return not asked or any(keywords.value(header, field) is not None for field in asked)
 
 
 def _read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
