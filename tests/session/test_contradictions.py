@@ -92,6 +92,16 @@ def test_an_exposure_longer_than_from_begin_to_end(told):
     longer, outside = read_image(path, KEYWORDS).contradictions
     assert "an exposure of 1 s, but the header's begin and end lie 0.5 s apart" in longer
     assert "the middle of the exposure lies" in outside
+    fits.setval(path, "DATE-END", value="2015-05-15T02:00:00.500")
+    assert any("apart, longer than a day" in line for line in read_image(path, KEYWORDS).contradictions)
+
+
+def test_a_declination_beyond_the_pole_is_none(told):
+    path = told()
+    fits.setval(path, "SPCBRRA", value=166.4)
+    fits.setval(path, "SPCBRDEC", value=-143.1)
+    (line,) = read_image(path, KEYWORDS).contradictions
+    assert line == "SPCBRRA, SPCBRDEC = 166.4, -143.1 deg are no direction; they are not used"
 
 
 @pytest.mark.slow(keep=["clock", "attitude"])
@@ -175,6 +185,16 @@ def test_what_spacecraft_do_is_believed(distance_km, speed_km_s):
     state = believed_state(np.array([distance_km, 0.0, 0.0]), speed_km_s * across, ("X", "V"))
     assert state.contradictions == ()
     np.testing.assert_array_equal(state.velocity_km_s, speed_km_s * across)
+
+
+def test_near_a_small_planet_a_backward_way_is_told():
+    """MESSENGER at Mercury, whose escape speed is 4 km/s: the planet's own motion turned round is none."""
+    et = 4.8e8
+    mercury = erfa.plan94(J2000_JD, et / DAY_S, 1)
+    place, velocity = mercury["p"] * AU_KM + [2500.0, 0.0, 0.0], mercury["v"] * AU_KM / DAY_S
+    assert believed_state(place, velocity + np.array([0.0, 3.0, 0.0]), ("X", "V"), [et]).contradictions == ()
+    (line,) = believed_state(place, -velocity, ("X", "V"), [et]).contradictions
+    assert "backward" in line
 
 
 def test_near_a_giant_planet_all_ways_are_free():
