@@ -186,7 +186,7 @@ class RationalDistortion(InverseDistortion):
 class FisheyeDistortion(DirectDistortion):
     """The fisheye of Kannala and Brandt: radius = focal length times ``t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8)``.
 
-    t is the angle from the boresight, rad. Directions up to 87 deg from the boresight are seen: what lies farther has no
+    t is the angle from the boresight, rad. All directions in front of the camera are seen; at 90 deg and behind there are no
     gnomonic coordinates.
 
     References

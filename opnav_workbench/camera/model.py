@@ -129,7 +129,8 @@ class Camera(CameraResponse):
         self._set_array("focal_from_camera", (3, 3))
         self._check_values()
         object.__setattr__(self, "_reach_mm", reach_mm(self.distortion, self.focal_length_mm))
-        if not np.isfinite(self.unproject(self._corners())).all():
+        # A fisheye's corners may lie beyond its circle: they see nothing, and nothing folds over.
+        if not (np.isinf(self._reach_mm) or np.isfinite(self.unproject(self._corners())).all()):
             raise CameraError(
                 f"{self.name}: distortion folds over inside the detector; check its coefficients and units, "
                 "or give the part of the detector that is read (n_pixel, n_line, center_pixel_line)."
@@ -294,8 +295,8 @@ class Camera(CameraResponse):
 
     @property
     def half_diagonal_rad(self) -> float:
-        """Angle from the boresight to the farthest detector corner, rad."""
-        cosine = self.unproject(self._corners()) @ self.boresight
+        """Angle from the boresight to the farthest detector corner, rad; a right angle where a corner sees no sky."""
+        cosine = np.nan_to_num(self.unproject(self._corners()) @ self.boresight, nan=0.0)
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)).max())
 
     def on_detector(self, pixel_line: ArrayLike, margin_px: float = 0.0) -> BoolArray:

@@ -74,7 +74,7 @@ def _camera_mapping(camera: Mapping[str, Any]) -> dict[str, Any]:
         "photometry": _photometry(camera),
         "attitude_sigma": asdict(camera["attitude_sigma"]),
     }
-    return {name: value for name, value in described.items() if value not in ("", [])}
+    return {name: value for name, value in described.items() if value not in ("", []) or name == "source"}
 
 
 def _optics(camera: Mapping[str, Any]) -> Any:

@@ -5,11 +5,11 @@ picture's status ``partial``, and is never silently believed: what takes the pla
 What takes kernels to tell stands in ``session.contradictions``.
 
 Times       differ by more than their last printed digits, and the 0.05 ms by which implementations of TDB differ
-Exposure    longer than a day, or than the span that the header states; its middle outside that span
+Exposure    longer than a day, or than the span that the header states; that longer than a day; its middle outside it
 Position    inside the Sun, or farther from it than a thousand astronomical units: kilometers are meant
 Velocity    slower than any orbit that clears the Sun, or faster than the Sun's well and that of a planet at hand make: zero,
-            meters or astronomical units in the place of kilometers, most doubled ones; backward around the Sun, far from
-            planets: a sign or axes
+            meters or astronomical units in the place of kilometers, most doubled ones; backward around the Sun, by more
+            than a planet at hand makes: a sign or axes
 Earth       its place and velocity with respect to the spacecraft, where they are stated too, put it where it was not
 Attitude    four numbers that are no rotation (`opnav_workbench.image.header`)
 """
@@ -116,6 +116,10 @@ def check_exposure(
     if span_s is None:
         return said
     begin, end = span_s
+    if end - begin > LONGEST_EXPOSURE_S:
+        said.append(
+            f"the header's begin and end lie {end - begin:.6g} s apart, longer than a day: one is wrong"
+        )
     if exposure_s > end - begin + tolerance_s:
         said.append(
             f"{keyword} is an exposure of {exposure_s:g} s, but the header's begin and end lie {end - begin:g} s apart"
@@ -220,8 +224,12 @@ def _wrong_velocity(
         return f"of {speed:.4g} km/s, with which a spacecraft there falls into the Sun (below {slowest:.2g} km/s)"
     if speed > fastest:
         return f"of {speed:.6g} km/s, faster than any spacecraft there (above {fastest:.0f} km/s)"
-    if place_km is not None and times and near == 0.0:
-        turning = np.cross(place_km, velocity_km_s)
+    if place_km is not None and times:
+        forward = np.cross(ECLIPTIC_NORTH, place_km)
+        most = (
+            near * forward / np.linalg.norm(forward) if near and forward.any() else 0.0
+        )  # what a planet's well gives
+        turning = np.cross(place_km, velocity_km_s + most)
         leaning = float(np.degrees(angle_between(turning, ECLIPTIC_NORTH))) if turning.any() else 0.0
         if leaning > STEEPEST_DEG:
             return (

@@ -480,8 +480,10 @@ def header_geometry(header: Header, keywords: KeywordMap, times: Sequence[float]
         earth,
     )
     unread = unread_words(header, keywords, (*LENGTHS, "twist"))
-    contradictions = (*wrong, *unread, *state.contradictions)
     boresight = _boresight(header, keywords)
+    nowhere = () if boresight is None else _no_direction(boresight, keywords)
+    boresight = None if nowhere else boresight
+    contradictions = (*wrong, *nowhere, *unread, *state.contradictions)
     if attitude is None and boresight is None and state.position_km is None:
         return GeometryRead(None, messages, contradictions)
     geometry = HeaderGeometry(
@@ -503,6 +505,16 @@ def _no_rotation(quaternion: FloatArray, keywords: KeywordMap) -> tuple[str, ...
         return ()
     names = ", ".join(keywords.words("quaternion"))
     return (f"no header pointing: the quaternion {names} has length {length:.6g} instead of 1",)
+
+
+def _no_direction(boresight_deg: FloatArray, keywords: KeywordMap) -> tuple[str, ...]:
+    """Return why a right ascension and declination are none; nothing where they are."""
+    ra, dec, _ = boresight_deg
+    if abs(dec) <= 90.0 and abs(ra) <= 360.0:
+        return ()
+    return (
+        f"{', '.join(keywords.words('boresight'))} = {ra:g}, {dec:g} deg are no direction; they are not used",
+    )
 
 
 def _header_attitude(quaternion: FloatArray, keywords: KeywordMap) -> FloatArray:

@@ -184,30 +184,94 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
 # ---- Attitude, against what else the header says of it, and against the CK.
 
 
-def header_attitude(context: Context) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Return the attitude that a header states, and what contradicts it; None where it states none.
+def header_attitude(context: Context) -> FloatArray | None:
+    """Return the attitude that a header states, None where it states none.
 
-    It is that of the quaternion, held against the boresight's right ascension and declination; or that of these and a twist.
+    It is that of the quaternion; or that of the boresight's right ascension, declination and a twist.
     """
-    geometry, camera = context.picture.header_geometry, context.camera
+    geometry = context.picture.header_geometry
+    if geometry is None:
+        return None
+    if geometry.camera_from_j2000 is not None:
+        return np.asarray(geometry.camera_from_j2000)
+    ra, dec, twist = _stated_rad(context)
+    return camera_from_j2000(ra, dec, twist, context.camera.focal_from_camera) if np.isfinite(twist) else None
+
+
+def _stated_rad(context: Context) -> FloatArray:
+    """Return the boresight's right ascension, declination and twist; nan where the header does not state them."""
+    geometry = context.picture.header_geometry
     if geometry is None or geometry.boresight_deg is None:
-        return None if geometry is None else geometry.camera_from_j2000, ()
-    ra, dec, twist = np.radians(geometry.boresight_deg)
-    attitude = geometry.camera_from_j2000
-    if attitude is None:
-        whole = np.isfinite(twist)
-        return (camera_from_j2000(ra, dec, twist, camera.focal_from_camera) if whole else None), ()
-    off = float(angle_between(np.asarray(attitude).T @ camera.boresight, unit_from_radec(ra, dec)))
-    apart = off > _can_be_off_rad(camera)
+        return np.full(3, np.nan)
+    return np.radians(geometry.boresight_deg)
+
+
+def attitude_contradiction(context: Context, et: float, used: str) -> tuple[str, ...]:
+    """Return what the header's attitude says against itself and that of a CK; nothing where they agree, or one is silent.
+
+    Parameters
+    ----------
+    et
+        TDB s past J2000.
+    used
+        Which attitude the picture begins with: ``kernels``, ``header``, or neither.
+    """
+    by_kernels = _ck_attitude(context, et)
+    within = _against_itself(context)
+    if not within:
+        return _against_ck(context, by_kernels)
+    if used == "header":
+        within += "; the first is used"
+    elif used == "kernels" and by_kernels is not None:
+        within += f"; the CK's is used, {_agreeing_with(context, by_kernels)}"
+    return (within, *_against_ck(context, by_kernels))
+
+
+def _ck_attitude(context: Context, et: float) -> FloatArray | None:
+    if KernelSet.active() is None:
+        return None
+    try:
+        return camera_attitude(context.camera.frame, et)
+    except KernelError:
+        return None
+
+
+def _against_itself(context: Context) -> str:
+    """Return how far a header's quaternion and its boresight's angles are apart; nothing where they agree."""
+    geometry, camera = context.picture.header_geometry, context.camera
+    if geometry is None or geometry.camera_from_j2000 is None or geometry.boresight_deg is None:
+        return ""
+    how = _apart(camera, np.asarray(geometry.camera_from_j2000), _stated_rad(context))
+    if not how:
+        return ""
+    return f"the attitude of {_words(context, 'quaternion')} and that of {_words(context, 'boresight', 'twist')} are {how}"
+
+
+def _apart(camera: Camera, attitude: FloatArray, stated_rad: FloatArray) -> str:
+    """Return how far an attitude is from a right ascension, declination and twist, if by more than the two can be."""
+    ra, dec, twist = stated_rad
+    off = float(angle_between(attitude.T @ camera.boresight, unit_from_radec(ra, dec)))
+    if off > _can_be_off_rad(camera):
+        return f"{np.degrees(off):.4g} deg apart"
     turned = float(wrapped(pointing_angles(attitude, camera.focal_from_camera)[2] - twist))
-    can_turn = ATTITUDE_SIGMAS * np.sqrt(2.0) * np.radians(camera.attitude_sigma.twist_deg)
-    if not (apart or abs(turned) > can_turn):
-        return attitude, ()
+    if abs(turned) > ATTITUDE_SIGMAS * np.sqrt(2.0) * np.radians(camera.attitude_sigma.twist_deg):
+        return f"turned by {np.degrees(turned):.4g} deg"
+    return ""
+
+
+def _words(context: Context, *names: str) -> str:
     keywords = context.picture.keywords or KeywordMap(**context.mission.keywords)
-    by = ", ".join(keywords.words("quaternion"))
-    stated = ", ".join((*keywords.words("boresight"), *keywords.words("twist")))
-    how = f"{np.degrees(off):.4g} deg apart" if apart else f"turned by {np.degrees(turned):.4g} deg"
-    return attitude, (f"the attitude of {by} and that of {stated} are {how}; the first is used",)
+    return ", ".join(word for name in names for word in keywords.words(name))
+
+
+def _agreeing_with(context: Context, by_kernels: FloatArray) -> str:
+    attitude, camera = header_attitude(context), context.camera
+    assert attitude is not None  # it contradicts itself
+    first = _sigmas_of_difference(camera, vector_from_rotation(attitude @ by_kernels.T)) <= ATTITUDE_SIGMAS
+    second = not _apart(camera, by_kernels, _stated_rad(context))
+    if first and second:
+        return "which lies between them"
+    return f"with which {'the first' if first else 'the second' if second else 'neither'} agrees"
 
 
 def _can_be_off_rad(camera: Camera) -> float:
@@ -218,16 +282,15 @@ def _can_be_off_rad(camera: Camera) -> float:
     return from_middle + float(known_px) * camera.pixel_scale_rad + ABERRATION_RAD
 
 
-def attitude_contradiction(context: Context, et: float) -> tuple[str, ...]:
-    """Return what the header's attitude says against itself or that of a CK; nothing where they agree, or one is silent."""
-    attitude, said = header_attitude(context)
-    kernels, camera = KernelSet.active(), context.camera
-    if attitude is None or kernels is None:
-        return said
-    try:
-        by_kernels = camera_attitude(camera.frame, et)
-    except KernelError:
+def _against_ck(context: Context, by_kernels: FloatArray | None) -> tuple[str, ...]:
+    """Return how far the header's attitude, or its boresight alone, is from the CK's; nothing where they agree."""
+    if by_kernels is None:
         return ()
+    attitude, camera = header_attitude(context), context.camera
+    if attitude is None:
+        stated = _stated_rad(context)
+        how = _apart(camera, by_kernels, stated) if np.isfinite(stated[:2]).all() else ""
+        return (f"the boresight of {_words(context, 'boresight')} and the CK's are {how}",) if how else ()
     turn = vector_from_rotation(attitude @ by_kernels.T)
     sigmas = _sigmas_of_difference(camera, turn)
     if sigmas <= ATTITUDE_SIGMAS:

@@ -252,7 +252,7 @@ def collect_inputs(
         contradictions=(
             *context.picture.contradictions,
             *time.contradictions,
-            *attitude_contradiction(context, et),
+            *attitude_contradiction(context, et, origin),
             *unswept,
         ),
         sweep=sweep,
@@ -403,10 +403,10 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
             return camera_attitude(frame_name, et), "kernels"
         except KernelError as error:
             raise error if wanted == "kernels" else NoAttitudeKernelError(str(error)) from error
-    attitude, said = header_attitude(context)
+    attitude = header_attitude(context)
     if attitude is None:
         raise NoAttitudeError(
-            f"{context.picture.name}: the header gives no attitude{_because((*context.picture.contradictions, *said))}; "
+            f"{context.picture.name}: the header gives no attitude{_because(context.picture.contradictions)}; "
             f"give kernels with a CK for {frame_name} (--kernels)."
         )
     return attitude, "header"

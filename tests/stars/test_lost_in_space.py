@@ -1,9 +1,12 @@
 """Star fields solved without an attitude; the big exam is ``lost_exam.py`` beside this file, run by hand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from lost_exam import camera, detections, draw_field, error_px, random_attitude, random_dots
 
+from opnav_workbench.camera import FisheyeDistortion
 from opnav_workbench.stars.lost_in_space import index_of_stars, solve_lost
 from opnav_workbench.stars.lost_in_space.patterns import ORDERS, code_of, named_orders
 from opnav_workbench.stars.lost_in_space.verification import DetectionMap
@@ -70,6 +73,23 @@ def test_fields_with_false_and_missing_stars(sky, index, width_deg):
             answer.camera_from_j2000 @ answer.camera_from_j2000.T, np.eye(3), atol=1e-9
         )
         assert abs(answer.focal_scale * field.told_focal_px / field.focal_px - 1.0) < 6.0 * answer.focal_sigma
+
+
+def test_a_fisheye_that_sees_all_in_front_of_it(sky, index):
+    """Its corners see nothing, and a plane holds but a part of its sky."""
+    rng = np.random.default_rng(8)
+    attitude = random_attitude(rng)
+    optics = camera(320.0)
+    lens = replace(optics, distortion=FisheyeDistortion(optics.focal_length_mm))
+    assert np.isnan(lens.unproject([0.0, 0.0])).all()
+    places = lens.project(sky[0] @ attitude.T)
+    seen = np.flatnonzero(lens.on_detector(places))
+    seen = seen[np.argsort(sky[1][seen])[:150]]
+    answer = solve_lost(
+        index, detections(places[seen] + rng.normal(0.0, 0.05, (150, 2)), 10.0 ** (-0.4 * sky[1][seen])), lens
+    )
+    assert answer.camera_from_j2000 is not None, answer.message
+    np.testing.assert_allclose(answer.camera_from_j2000, attitude, atol=0.5 * lens.pixel_scale_rad)
 
 
 def test_mirrored_pictures_are_told_and_not_solved(sky, index):

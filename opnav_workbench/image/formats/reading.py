@@ -1,7 +1,7 @@
 """From a file to a `StoredPicture`: which format it is, by its content, and what lies beside it.
 
 A label or a sidecar may be given in the place of the file with the pixels; a file that has no header of its own is read with
-the label or sidecar of its name.
+the label or sidecar of its name, and so is one whose header tells neither a time nor the exposure.
 """
 
 import contextlib
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from opnav_workbench.image.file_bytes import GZIP_START, file_bytes, image_error, unpacked
 from opnav_workbench.image.formats.fits_picture import is_fits, read_fits
-from opnav_workbench.image.formats.stored import StoredPicture
-from opnav_workbench.image.header import KeywordMap
+from opnav_workbench.image.formats.stored import FORMATS, StoredPicture
+from opnav_workbench.image.header import Header, KeywordMap
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file
 
@@ -29,7 +29,6 @@ else:  # most pictures are FITS files
 __all__ = ["read_stored"]
 
 SHOWN_BYTES = 24
-FORMATS = "FITS, VICAR, PDS3, PDS4, ISIS cube, PNG, TIFF or JPEG"
 PACKED = {
     b"PK\x03\x04": "ZIP",
     b"BZh": "bzip2",
@@ -56,6 +55,29 @@ def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, St
     ImageError
         One line: it is no picture, damaged, truncated, too large, or what it names is not there.
     """
+    pixels, source = _read_stored(file, data, keywords)
+    return pixels, _with_words_beside(pixels, source, keywords)
+
+
+def _with_words_beside(file: Path, source: StoredPicture, keywords: KeywordMap) -> StoredPicture:
+    """Add a sidecar's words to a picture whose own header lacks time or exposure, as conversions lose them."""
+    header = Header(source.header)
+    told = (_tells(header, keywords, fields) for fields in (("exposure_s",), ("utc", "et", "sclk")))
+    if source.keywords is not None or all(told):
+        return source
+    beside = sidecar.find_sidecar(file)
+    if beside is None:
+        return source
+    return sidecar.with_sidecar(source, sidecar.read_sidecar(beside, file.name), beside.name, keywords)
+
+
+def _tells(header: Header, keywords: KeywordMap, fields: tuple[str, ...]) -> bool:
+    """Whether a header has one of these facts, or the mission asks for none of them."""
+    asked = [field for field in fields if getattr(keywords, field) is not None]
+    return not asked or any(keywords.value(header, field) is not None for field in asked)
+
+
+def _read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
     if is_fits(data):
         return file, read_fits(file, data, keywords)
     if pds_label.is_pds3(data):

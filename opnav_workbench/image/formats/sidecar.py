@@ -1,4 +1,4 @@
-"""Sidecars: what stands beside a picture that has no header of its own, as JSON, YAML or CSV; and the layout of raw files.
+"""Sidecars: what stands beside a picture whose header, if any, tells no time, as JSON, YAML or CSV; and raw files' layout.
 
 A sidecar has the picture's name (``a.png`` and ``a.json``, ``.yaml``, ``.yml`` or ``.csv``; ``a.png.json`` too), or names
 the picture: ``file: a.raw``. Its words of the list below say what every mission knows and are put under the mission's own
@@ -37,7 +37,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from opnav_workbench.files import json_value
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
-from opnav_workbench.image.formats.stored import BandOrder, Raster, StoredPicture, full_scale, read_raster
+from opnav_workbench.image.formats.stored import (
+    FORMATS,
+    BandOrder,
+    Raster,
+    StoredPicture,
+    full_scale,
+    read_raster,
+)
 from opnav_workbench.image.header import Header, HeaderValue, KeywordMap, bare_word
 from opnav_workbench.paths import is_file
 from opnav_workbench.yaml_nodes import LARGEST_BYTES, LONGEST_NUMBER, compose, plain_value
@@ -399,8 +406,8 @@ def read_raw(name: str, data: bytes, sidecar: Sidecar, sidecar_name: str) -> Sto
     if layout is None:
         raise image_error(
             name,
-            f"is no picture file that is known, and {sidecar_name} does not say its lines and samples; state lines, "
-            "samples, sample_type and byte_order there.",
+            f"is not a {FORMATS} file, and {sidecar_name} does not say its lines and samples, as for a raw one; convert it, "
+            "or state lines, samples, sample_type and byte_order there.",
         )
     image = read_raster(name, data, layout)
     behind = len(data) - layout.offset - layout.records * (layout.prefix + layout.line_bytes + layout.suffix)

@@ -17,6 +17,7 @@ from opnav_workbench.image.file_bytes import check_size, image_error, truncated_
 from opnav_workbench.image.header import HeaderValue, KeywordMap, header_number
 
 __all__ = [
+    "FORMATS",
     "BandOrder",
     "Raster",
     "StoredPicture",
@@ -28,6 +29,7 @@ __all__ = [
     "read_raster",
 ]
 
+FORMATS = "FITS, VICAR, PDS3, PDS4, ISIS cube, PNG, TIFF or JPEG"
 BandOrder: TypeAlias = Literal["BSQ", "BIL", "BIP"]
 BITS = re.compile(r"(?:0x|16#)([0-9a-f]{1,16})#?", re.IGNORECASE)  # of a number, as PDS4 and PDS3 write them
 MOST_LINE_BYTES = 1 << 24  # of prefixes and suffixes too: a line of a hundred thousand samples has less

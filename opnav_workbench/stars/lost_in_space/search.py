@@ -46,6 +46,7 @@ SLACK = 0.02  # of the longest side, by which noise may change the order of two 
 MIN_ANGLE_PX = 100.0  # of a triangle: noise leaves too little of smaller ones
 PATTERN_REACH = 4.0  # widest pattern of the n-th detection, in widths of the picture over sqrt(n)
 MAX_ASPECT = 6.0  # of a detector: a star's neighbors stand all around it
+WIDEST = 2.0  # tangent from the boresight: farther out a plane stretches the sky beyond the cells of its map
 WIDE_FIELD = 0.3  # what an error of the focal length does to a code off the boresight, over tan^2
 # Proposals of a round that are compared with all of the picture: those that bring most of the stars around to detections.
 # Chance brings one; there are more such proposals only where there are many detections, and with many stars among these
@@ -152,18 +153,32 @@ def _plane(detections: Detections, camera: Camera, focal_error: float) -> Plane:
     star_like = (detections.flags[order] & StarFlag.COSMIC_RAY) == 0
     order = order[star_like] if star_like.sum() >= MIN_STARS else order
     focal = camera.unproject(detections.pixel_line[order].reshape(-1, 2)) @ camera.focal_from_camera.T
-    kept = np.flatnonzero(np.isfinite(focal).all(axis=1))[:MAX_DETECTIONS]
+    corners = _corners(camera)
+    with np.errstate(invalid="ignore"):
+        beside = np.abs(focal[:, :2]) > focal[:, 2:] * np.abs(corners).max(axis=0)
+    outside = beside.any(axis=1) & (np.abs(corners).max() >= WIDEST)
+    kept = np.flatnonzero(np.isfinite(focal).all(axis=1) & ~outside)[:MAX_DETECTIONS]
     focal, flux = focal[kept], detections.flux_dn[order[kept]]
     saturated = (detections.flags[order[kept]] & StarFlag.SATURATED) > 0
     mag = np.where(saturated | (flux <= 0.0), np.nan, -2.5 * np.log10(np.maximum(flux, np.finfo(float).tiny)))
-    right, top = camera.n_pixel - 0.5, camera.n_line - 0.5
-    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, top], [-0.5, top]])
-    edge = camera.unproject(corners) @ camera.focal_from_camera.T
-    plane = Plane(
-        focal[:, :2] / focal[:, 2:], mag, camera.pixel_scale_rad, edge[:, :2] / edge[:, 2:], focal_error
-    )
+    plane = Plane(focal[:, :2] / focal[:, 2:], mag, camera.pixel_scale_rad, corners, focal_error)
     # A detector read out mirrored has axes of the other hand: its sky is that of the camera's frame.
     return plane if np.linalg.det(camera.focal_from_camera) > 0.0 else _flipped(plane)
+
+
+def _corners(camera: Camera) -> FloatArray:
+    """Return the detector's corners in the plane; of a fisheye those of what a plane can hold of its sky."""
+    right, top = camera.n_pixel - 0.5, camera.n_line - 0.5
+    x, y = camera.center_pixel_line
+    rim = np.array(
+        [[-0.5, -0.5], [right, -0.5], [right, top], [-0.5, top], [-0.5, y], [x, -0.5], [right, y], [x, top]]
+    )
+    seen = camera.unproject(rim) @ camera.focal_from_camera.T
+    plane = seen[:, :2] / seen[:, 2:]
+    if np.abs(plane).max() < WIDEST:  # nan: it is not
+        return plane[:4]
+    low, high = np.fmax(plane[[4, 5], [0, 1]], -WIDEST), np.fmin(plane[[6, 7], [0, 1]], WIDEST)
+    return np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
 
 
 def _flipped(plane: Plane) -> Plane:
