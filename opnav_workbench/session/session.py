@@ -49,7 +49,7 @@ from opnav_workbench.session.result import origin_of, result_dict
 from opnav_workbench.session.settings import Settings
 from opnav_workbench.session.star_boxes import StarBox, star_boxes
 from opnav_workbench.session.star_field import catalog_stars, nudge_reach_px, unknown_star_ids
-from opnav_workbench.session.state import BY_HAND, MARKED, SessionState, open_decisions
+from opnav_workbench.session.state import SessionState, open_decisions
 from opnav_workbench.stars.pointing import AttitudeMotion, SolvedAttitude
 
 if TYPE_CHECKING:
@@ -452,8 +452,7 @@ class ImageSession:
             Whether there is something new for `find_stars` to begin with; False where nothing was found, or no need.
         """
         with self.lock:
-            unknown = self.state.star_field is None  # for a proposal's sake no index is made
-            return unknown and self._is_lost(self.state) and self._search_sky(patient=True)
+            return self._is_lost(self.state) and self._search_sky(patient=True)
 
     def refit_stars(
         self,
@@ -1039,10 +1038,8 @@ class ImageSession:
         return self._history.inputs is not before
 
     def _is_lost(self, state: SessionState) -> bool:
-        """Whether nothing but a proposal of a pattern, if that, says where the field is."""
-        found = state.star_field
-        proposed = found is None or (not found.sure and found.search not in (BY_HAND, MARKED))
-        return state.pointing is None and proposed
+        """Whether not even a proposal says where the field is."""
+        return state.pointing is None and state.star_field is None
 
     def _search_sky(self, *, patient: bool = False) -> bool:
         """Search the whole sky for the picture, once; False where nothing is found that was not known."""
