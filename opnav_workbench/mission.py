@@ -31,6 +31,7 @@ FILE_NAME = "mission.yaml"
 
 Value = str | int | float
 Keyword = Annotated[str, Field(min_length=1, max_length=80)]
+SpanOf = Literal["exposure", "frames"]
 KEYWORD_FIELDS = frozenset(field.name for field in fields(KeywordMap))
 
 
@@ -126,6 +127,7 @@ class _CameraEntry(StrictModel):
     file: str
     match: dict[Keyword, Value | tuple[Value, ...]] = Field(default_factory=dict)
     readout: Readout | None = None
+    span_of: SpanOf = "exposure"
 
 
 class AlbedoMapFile(StrictModel):
@@ -224,11 +226,15 @@ class CameraChoice:
         Every keyword must have the value, or one of the values.
     readout
         Which words tell window and binning.
+    span_of : {"exposure", "frames"}
+        What a header's begin and end enclose: the exposure; or several frames, each of which is exposed so long, as the
+        framelets of a push-frame camera are.
     """
 
     file: Path
     match: Mapping[str, Any]
     readout: Readout | None = None
+    span_of: SpanOf = "exposure"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,6 +351,16 @@ class Mission:
         choice = self._choice_for(header)
         return None if choice.readout is None else choice.readout.told(header)
 
+    def span_of(self, header: Mapping[str, Any]) -> SpanOf:
+        """Return what begin and end of a picture enclose: its exposure, or several frames (`CameraChoice`).
+
+        Raises
+        ------
+        CameraError
+            No camera of the mission fits.
+        """
+        return self._choice_for(header).span_of
+
     def camera_as_read(self, name: str, readout: Mapping[str, Any] | None) -> Camera:
         """Return the camera of a name as a readout of `readout_told` leaves it.
 
@@ -447,7 +463,8 @@ def _mission(file: MissionFile, path: Path) -> Mission:
         ),
         target_stars=None if file.target_stars is None else folder / file.target_stars,
         cameras=tuple(
-            CameraChoice(folder / c.file, MappingProxyType(c.match), c.readout) for c in file.cameras
+            CameraChoice(folder / c.file, MappingProxyType(c.match), c.readout, c.span_of)
+            for c in file.cameras
         ),
         keywords=MappingProxyType(file.keywords),
     )

@@ -5,7 +5,8 @@ picture's status ``partial``, and is never silently believed: what takes the pla
 What takes kernels to tell stands in ``session.contradictions``.
 
 Times       differ by more than their last printed digits, and the 0.05 ms by which implementations of TDB differ
-Exposure    longer than a day, or than the span that the header states; that longer than a day; its middle outside it
+Exposure    longer than a day, or than the span that the header states; that longer than a day; its middle outside it; of a
+            frame camera also a thousandth of the span: milliseconds for seconds
 Position    inside the Sun, or farther from it than a thousand astronomical units: kilometers are meant
 Velocity    slower than any orbit that clears the Sun, or faster than the Sun's well and that of a planet at hand make: zero,
             meters or astronomical units in the place of kilometers, most doubled ones; backward around the Sun, by more
@@ -38,6 +39,7 @@ __all__ = [
     "BelievedState",
     "believed_state",
     "check_exposure",
+    "check_frame_exposure",
     "earth_is_off",
     "printed_unit_s",
     "time_tolerance_s",
@@ -47,6 +49,8 @@ __all__ = [
 TIME_SCALES_S = 5e-5
 SECONDS_OF_TIME = re.compile(r":\d{2}:\d{2}(?:\.(?P<decimals>\d+))?")
 MINUTES_OF_TIME = re.compile(r"\d{1,2}:\d{2}")
+SHUTTER_S = 0.4  # Dawn's labels have 0.192 s beside the exposure, the most of eight missions'
+UNIT_RATIO = math.sqrt(1000.0)  # nearer, in ratio, to a thousandth than to the whole
 LONGEST_EXPOSURE_S = DAY_S  # longer than any camera's; a second in the place of a millisecond is found sooner
 FARTHEST_KM = 1000.0 * AU_KM  # six times as far as any spacecraft has come
 FASTEST_LEAVING_KM_S = 17.0  # Voyager 1, the fastest of those that leave the Sun
@@ -131,6 +135,27 @@ def check_exposure(
             "as the header states them"
         )
     return said
+
+
+def check_frame_exposure(
+    keyword: str, exposure_s: float, span_s: tuple[float, float], tolerance_s: float
+) -> list[str]:
+    """Return what contradicts the exposure of a frame, whose begin and end enclose little else.
+
+    Parameters
+    ----------
+    keyword, exposure_s, span_s, tolerance_s
+        As of `check_exposure`.
+    """
+    begin, end = span_s
+    if not UNIT_RATIO * exposure_s < end - begin - tolerance_s - SHUTTER_S:
+        return []
+    said = (
+        f"{keyword} is an exposure of {exposure_s:g} s, but the header's begin and end lie {end - begin:g} s apart: "
+        "its unit, or the number, is wrong (where they enclose several frames the camera's entry in the mission file says "
+        "`span_of: frames`)"
+    )
+    return [said]
 
 
 # ---- Position and velocity with respect to the Sun, against what any spacecraft can do.

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -42,7 +43,7 @@ from opnav_workbench.image.header import (
 )
 from opnav_workbench.image.planes import make_planes
 
-__all__ = ["Picture", "picture_from_stored", "read_image"]
+__all__ = ["Picture", "StatedSpan", "picture_from_stored", "read_image", "stated_span"]
 
 
 # ---- A picture in memory: pixels, masks and what the header says of time and pointing.
@@ -348,16 +349,31 @@ def _exposure_contradictions(
 ) -> list[str]:
     if math.isnan(exposure_s) or keywords.exposure_s is None:
         return []
+    span = stated_span(header, keywords)
+    if span is None:
+        return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
+    tolerance_s, middle_s = time_tolerance_s(*span.stated), math.nan
+    if time.et is not None and all(isinstance(value, str) for value in span.stated):
+        tolerance_s, middle_s = time_tolerance_s(*span.stated, time.utc), time.et
+    return check_exposure(keywords.exposure_s, exposure_s, span.seconds, tolerance_s, middle_s)
+
+
+class StatedSpan(NamedTuple):
+    """When an exposure began and ended: as the header states it, and in seconds of one scale."""
+
+    stated: tuple[HeaderValue | None, HeaderValue | None]
+    seconds: tuple[float, float]
+
+
+def stated_span(header: Header, keywords: KeywordMap) -> StatedSpan | None:
+    """Return begin and end of an exposure by the mission's words or the standards'; None where the header has neither."""
     named = (keywords.begin, keywords.end)
     for begin, end in (*([named] if all(named) else []), *STANDARD_SPANS):
         stated = (keywords.known(header, str(begin)), keywords.known(header, str(end)))
         first, last = (_seconds(value, _scale_of(header, begin) or "utc") for value in stated)
         if first is not None and last is not None:
-            tolerance_s, middle_s = time_tolerance_s(*stated), math.nan
-            if time.et is not None and all(isinstance(value, str) for value in stated):
-                tolerance_s, middle_s = time_tolerance_s(*stated, time.utc), time.et
-            return check_exposure(keywords.exposure_s, exposure_s, (first, last), tolerance_s, middle_s)
-    return check_exposure(keywords.exposure_s, exposure_s, None, 0.0, math.nan)
+            return StatedSpan(stated, (first, last))
+    return None
 
 
 def _seconds(value: HeaderValue | None, scale: str) -> float | None:

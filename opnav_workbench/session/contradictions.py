@@ -35,12 +35,24 @@ from opnav_workbench.geometry import (
 )
 from opnav_workbench.geometry.times import text_from_et
 from opnav_workbench.image import KeywordMap, barycentric_from_heliocentric
-from opnav_workbench.image.contradictions import EARTH_KM, earth_is_off, time_tolerance_s
+from opnav_workbench.image.contradictions import (
+    EARTH_KM,
+    check_frame_exposure,
+    earth_is_off,
+    time_tolerance_s,
+)
+from opnav_workbench.image.picture import stated_span
 from opnav_workbench.kernels import KernelSet, camera_attitude, clock_tolerance_s, et_from_sclk, knows_clock
 from opnav_workbench.scene import observer_from_kernels
 from opnav_workbench.session.context import Context
 
-__all__ = ["SettledTime", "attitude_contradiction", "header_attitude", "settled_time"]
+__all__ = [
+    "SettledTime",
+    "attitude_contradiction",
+    "exposure_contradiction",
+    "header_attitude",
+    "settled_time",
+]
 
 COMMAND_TO_TELEMETRY_S = 1.0
 PREDICTED_CLOCK_S = 0.1  # New Horizons' headers of 2020 and a clock kernel made later: 0.011 s
@@ -179,6 +191,22 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
     if not said:
         return ""
     return f"off the kernels' by more than predictions are: the header's {' and '.join(said)}; the kernels' is used"
+
+
+# ---- Exposure, against begin and end, where the camera is known to take all of a picture at once.
+
+
+def exposure_contradiction(context: Context) -> tuple[str, ...]:
+    """Return what a frame camera's begin and end say against its exposure; nothing of scans and framelets."""
+    picture = context.picture
+    keywords = picture.keywords or KeywordMap(**context.mission.keywords)
+    span = stated_span(picture.header, keywords)
+    if span is None or keywords.exposure_s is None or context.camera.rows is not None:
+        return ()
+    if context.mission.span_of(picture.header) != "exposure":
+        return ()
+    tolerance_s = time_tolerance_s(*span.stated)
+    return tuple(check_frame_exposure(keywords.exposure_s, picture.exposure_s, span.seconds, tolerance_s))
 
 
 # ---- Attitude, against what else the header says of it, and against the CK.

@@ -41,7 +41,12 @@ from opnav_workbench.scene import (
     with_course,
 )
 from opnav_workbench.session.context import Context, faintest_magnitude
-from opnav_workbench.session.contradictions import attitude_contradiction, header_attitude, settled_time
+from opnav_workbench.session.contradictions import (
+    attitude_contradiction,
+    exposure_contradiction,
+    header_attitude,
+    settled_time,
+)
 from opnav_workbench.targets import TargetState
 
 if TYPE_CHECKING:
@@ -252,6 +257,7 @@ def collect_inputs(
         contradictions=(
             *context.picture.contradictions,
             *time.contradictions,
+            *exposure_contradiction(context),
             *attitude_contradiction(context, et, origin),
             *unswept,
         ),

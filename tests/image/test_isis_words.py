@@ -8,7 +8,9 @@ import pytest
 from picture_bytes import isis_bytes
 
 from opnav_workbench.image import KeywordMap, read_image
+from opnav_workbench.image.contradictions import check_frame_exposure, time_tolerance_s
 from opnav_workbench.image.formats.isis_cube import in_words_of, isis_label
+from opnav_workbench.image.picture import stated_span
 from opnav_workbench.mission import load_mission
 
 # Label, support data, mission, camera, and how far both times may be apart: where the archive's UTC has whole seconds only,
@@ -73,6 +75,10 @@ def test_a_mission_knows_its_cubes(data_dir, tmp_path, name):
     ]
     assert picture.et == pytest.approx(center, abs=apart_s)
     assert mission.camera_for(picture.header).name == mission.camera_named(stem).name
+    span = stated_span(picture.header, picture.keywords or KeywordMap(**mission.keywords))
+    if span is not None and mission.span_of(picture.header) == "exposure":
+        said = check_frame_exposure("E", picture.exposure_s, span.seconds, time_tolerance_s(*span.stated))
+        assert said == []
 
 
 def test_own_words_of_a_cube_come_first_and_what_is_none_is_told_later():

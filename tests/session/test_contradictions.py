@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 import erfa
@@ -26,7 +27,12 @@ from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.session import ImageSession, Settings, write_reconstructed_ck
 from opnav_workbench.session.context import open_context
-from opnav_workbench.session.contradictions import attitude_contradiction, header_attitude, settled_time
+from opnav_workbench.session.contradictions import (
+    attitude_contradiction,
+    exposure_contradiction,
+    header_attitude,
+    settled_time,
+)
 from opnav_workbench.session.inputs import mid_exposure_et, with_target
 
 KEYWORDS = KeywordMap(**load_mission("new_horizons").keywords)
@@ -94,6 +100,23 @@ def test_an_exposure_longer_than_from_begin_to_end(told):
     assert "the middle of the exposure lies" in outside
     fits.setval(path, "DATE-END", value="2015-05-15T02:00:00.500")
     assert any("apart, longer than a day" in line for line in read_image(path, KEYWORDS).contradictions)
+
+
+def test_an_exposure_of_a_thousandth_from_begin_to_end(told):
+    """A frame camera's begin and end enclose little but the exposure, a push-frame camera's many of them."""
+    path = told(EXPTIME=lambda t: 1e-3 * t)
+    fits.setval(path, "STARTMET", value=290893916.75)
+    fits.setval(path, "STOPMET", value=290893917.75)
+    assert read_image(path, KEYWORDS).contradictions == ()  # which does not know the camera
+    assert contradictions(path) == ()  # MVIC's framing array takes several frames between
+    mission = load_mission("new_horizons")
+    frame = replace(mission, cameras=tuple(replace(one, span_of="exposure") for one in mission.cameras))
+    (line,) = contradictions(path, frame)
+    assert line.startswith(
+        "EXPTIME is an exposure of 0.001 s, but the header's begin and end lie 1 s apart: its unit"
+    )
+    fits.setval(path, "EXPTIME", value=0.6)  # as Dawn's, whose labels have a shutter's time besides
+    assert contradictions(path, frame) == ()
 
 
 def test_a_declination_beyond_the_pole_is_none(told):
@@ -227,6 +250,14 @@ def test_flight_frames(data_dir, tmp_path):
     fits.setval(path, "EXPTIME", value=500.6)
     (line,) = read_image(path, KEYWORDS).contradictions
     assert line == "EXPTIME is an exposure of 500.6 s, but the header's begin and end lie 0.5006 s apart"
+    said = []
+    for exposure_s in (0.5006, 0.0005006):
+        fits.setval(path, "EXPTIME", value=exposure_s)
+        said += exposure_contradiction(open_context(path, load_mission("new_horizons"), Settings()))
+    (line,) = said
+    assert line.startswith(
+        "EXPTIME is an exposure of 0.0005006 s, but the header's begin and end lie 0.5006 s apart"
+    )
 
 
 EARTHLY = [f"SPCESC{axis}" for axis in "XYZ"]
