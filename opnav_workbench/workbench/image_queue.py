@@ -80,6 +80,8 @@ class QueueItem:
         Whether `open` can be called again, so that it may be closed meanwhile.
     left
         Where it stood when it was closed; empty: it was not.
+    left_doubts
+        Which facts of its header contradicted each other when it was closed.
     thumbnail
         PNG of the picture, small, once it was open.
     seen_s
@@ -94,6 +96,7 @@ class QueueItem:
     opening: threading.Lock = field(default_factory=threading.Lock, repr=False)
     reopens: bool = False
     left: str = ""
+    left_doubts: tuple[str, ...] = ()
     thumbnail: bytes = b""
     seen_s: float = 0.0
 
@@ -121,7 +124,8 @@ class QueueItem:
         session = self.session
         if session is None or not (self.reopens and self.folder is not None and session.is_on_disk):
             return False
-        self.left, self.session = session_progress(session), None
+        self.left, self.left_doubts = session_progress(session), session.state.contradictions
+        self.session = None
         session.autosave(None)
         return True
 
@@ -132,8 +136,13 @@ class QueueItem:
 
     @property
     def status_words(self) -> str:
-        """Where it stands, in words."""
-        return PROGRESS_WORDS[self.status]
+        """Where it stands, in words, and that its header contradicts itself or the kernels."""
+        return PROGRESS_WORDS[self.status] + (", header contradicted" if self.doubts else "")
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Which facts of its header contradict each other or the kernels, once it was open."""
+        return self.left_doubts if self.session is None else self.session.state.contradictions
 
 
 class ImageQueue:

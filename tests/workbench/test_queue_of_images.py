@@ -3,8 +3,10 @@
 import json
 
 import pytest
+from astropy.io import fits
 
 from opnav_workbench.campaign import Campaign
+from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import SelectionPending, SessionError
 from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench import image_queue
@@ -88,6 +90,26 @@ def test_far_images_are_closed_and_resume_as_they_were(four, monkeypatch):
     assert [entry.to_dict() for entry in again.journal] == journal
     assert again.state.decisions[star] == ("rejected", "test")
     assert again.can_undo
+
+
+def test_a_contradicted_header_stands_in_its_row_opened_and_closed(four, tmp_path, monkeypatch, hands_on):
+    path = tmp_path / "a.fit"
+    fits.setval(path, "SPCSCET", value=fits.getval(path, "SPCSCET") - DAY_S)
+    assert four.items[0].status_words == "not opened"
+    (doubt,) = four.session.state.contradictions
+    monkeypatch.setattr(image_queue, "KEPT_PIXELS", 1)
+    for closed in (False, True):
+        assert (four.items[0].session is None) == closed
+        assert (four.items[0].status_words, four.items[0].doubts) == ("opened, header contradicted", (doubt,))
+        four.go(3)
+        four.words = "contradicted"
+        assert four.listed() == [0, 3]  # with the one at hand
+        four.words = ""
+        _ = four.session
+        four.close_far()
+    row = hands_on(path, tmp_path / "b.fit").controller.regions()["queue"]
+    assert row.count("header contradicted") == 2  # its words and its title, and none of the good one
+    assert "SPCSCET and SPCUTCAL differ by -86400.000 s" in row
 
 
 def test_what_is_not_on_disk_is_never_closed(four, monkeypatch, session, tmp_path):
