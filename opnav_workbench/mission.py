@@ -59,7 +59,7 @@ class Readout(StrictModel):
         Its unit, s: 0.001 of milliseconds.
 
     A word that the header does not have says that the whole detector was read, pixel by pixel: a picture of another size is
-    then refused.
+    then refused, and so is a window of which `first_pixel` or `first_line` does not tell the place.
     """
 
     binning: Keyword | tuple[Keyword, Keyword] | None = None
@@ -95,6 +95,25 @@ class Readout(StrictModel):
         if self.line_time is not None and self.line_time in header:
             readout["line_time_s"] = _seconds(header, self.line_time) * self.line_time_scale
         return readout
+
+    def check_place(self, header: Mapping[str, Any], camera: Camera) -> None:
+        """Refuse a window whose place on the detector the header does not tell, where the mission file names words for it.
+
+        Raises
+        ------
+        CameraError
+            So it is.
+        """
+        told = self.told(header)
+        size = told["size"] or (None, None)
+        for axis, word in enumerate((self.first_pixel, self.first_line)):
+            detector = (camera.n_pixel, camera.n_line)[axis] // max(told["binning"][axis], 1)
+            if word is None or word in header or size[axis] in (None, detector) or (axis and camera.scans):
+                continue
+            raise CameraError(
+                f"{camera.name}: the header has no {word}, by which the mission file tells where a window begins, and the "
+                f"picture has {size[axis]} of the detector's {detector} {('pixels', 'lines')[axis]}; add it to the header."
+            )
 
     def _factor(self, header: Mapping[str, Any], word: str) -> int:
         if word not in header:
@@ -338,7 +357,11 @@ class Mission:
         'LORRI 4x4'
         """
         choice = self._choice_for(header)
-        return _read_out(Camera.from_yaml(choice.file), self.readout_told(header))
+        camera = Camera.from_yaml(choice.file)
+        read = _read_out(camera, self.readout_told(header))
+        if choice.readout is not None:
+            choice.readout.check_place(header, camera)
+        return read
 
     def readout_told(self, header: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return binning, first and size of a picture, as its header says them; None where its camera has one readout.

@@ -186,6 +186,8 @@ def _print_new(console: Console, made: NewMission, wanted: Wanted) -> None:
     views = ", ".join(path.name for path in made.simulated if path.suffix in (".fit", ".png"))
     if views:
         console.print(f"Simulated to compare, in {folder}/simulated/: {shown(views)}", highlight=False)
+    for caution in made.cautions:
+        console.print(f"[yellow]star_field: {shown(caution)}[/]", highlight=False, soft_wrap=True)
     picture = shown(str(wanted.image)) if wanted.image else f"{folder}/simulated/star_field.fit"
     kernels = f" --kernels {shown(wanted.kernels)}" if wanted.kernels else ""
     if wanted.numbers.scans and not wanted.kernels:

@@ -118,6 +118,8 @@ class NewMission:
         How the picture came out with the new mission; empty without a picture.
     known_mission
         A mission of the package whose header words are those of the picture.
+    cautions
+        What is wrong with the simulated picture: that nothing solves it, or that it saturates.
     """
 
     folder: Path
@@ -129,6 +131,7 @@ class NewMission:
     pictures: Path
     simulated: tuple[Path, ...] = ()
     known_mission: str = ""
+    cautions: tuple[str, ...] = ()
 
 
 WRITTEN = (
@@ -264,7 +267,10 @@ class _Maker:
         place = Place(FIRST_UTC, exposure_s, FIRST_POSITION_KM, np.array([-10.0, 25.0, 5.0]))
         pictures = write_scenario(self.wanted.folder, self.craft, STEM, camera, place, self.wanted.catalog)
         made = self.simulated(pictures)
-        return NewMission(self.wanted.folder, camera, camera.origins, told, False, "", pictures, made)
+        files, cautions = made
+        return NewMission(
+            self.wanted.folder, camera, camera.origins, told, False, "", pictures, files, cautions=cautions
+        )
 
     # -- with a picture ----------------------------------------------------------------------------------------
 
@@ -299,7 +305,10 @@ class _Maker:
         origins = (*camera.origins, *_header_origins(words, found, keywords))
         mirrored = found is not None and found.mirrored
         made = self.simulated(pictures)
-        return NewMission(self.wanted.folder, camera, origins, told, mirrored, solved, pictures, made)
+        files, cautions = made
+        return NewMission(
+            self.wanted.folder, camera, origins, told, mirrored, solved, pictures, files, cautions=cautions
+        )
 
     def kernels(self) -> AbstractContextManager[object]:
         """The flight kernels with those of the instrument, if any are given."""
@@ -380,13 +389,13 @@ class _Maker:
         place = replace(place, quaternion=quaternion_from_matrix(pointing.camera_from_j2000))
         return f"solved with {pointing.n_stars} stars, rms {pointing.rms_px:.3f} px", place, session
 
-    def simulated(self, pictures: Path) -> tuple[Path, ...]:
-        """Simulate the picture to compare."""
+    def simulated(self, pictures: Path) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+        """Simulate the picture to compare: its files, and what is wrong with it."""
         if not self.wanted.compare:
-            return ()
+            return (), ()
         self.say("simulating a picture")
         (report,) = simulate(load_picture_scenario(pictures), self.wanted.folder / SIMULATED, jobs=1)
-        return report.files
+        return report.files, report.cautions
 
 
 def _header_origins(

@@ -272,3 +272,10 @@ def test_a_readout_that_was_told_is_found_again(tmp_path):
     assert mission.camera_as_read(name, None).n_pixel == 1024
     with pytest.raises(CameraError, match="is no readout"):
         mission.camera_as_read(name, {"binning": [1]})
+    assert mission.camera_for({}).n_pixel == 1024
+    del header["FIRST_LINE"]  # where the window begins: it would be taken as at the detector's edge
+    with pytest.raises(
+        CameraError, match=r"no FIRST_LINE, by which .* the picture has 300 of the detector's 512 lines"
+    ):
+        mission.camera_for(header)
+    assert mission.camera_for({"BIN": "half", "N_PIXEL": 512, "N_LINE": 512}).n_line == 512

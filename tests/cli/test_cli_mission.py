@@ -198,6 +198,16 @@ def test_a_new_mission_may_have_a_rolling_shutter(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_new_mission_says_when_nothing_solves_its_simulated_picture(tmp_path, monkeypatch):
+    """A small lens sees no star in a thousandth of a second, however right its files are."""
+    monkeypatch.chdir(tmp_path)
+    numbers = ("--fov-deg", "5", "--size", "256x256", *patch_of_sky(tmp_path / "sky.npz"), "--line-scan")
+    for line_time_s, told in (("0.001", True), ("0.5", False)):
+        code, said = run("mission", "new", f"a{line_time_s[-1]}", *numbers, "--line-time-s", line_time_s)
+        assert (code, "nothing solves this picture" in said) == (0, told)
+
+
+@pytest.mark.slow
 def test_a_new_mission_may_be_a_line_scanner(tmp_path, monkeypatch):
     """The scan flown has pixels along -Y and lines against +X, which neither the IK nor the guess says."""
     monkeypatch.chdir(tmp_path)
