@@ -261,9 +261,9 @@ def exports() -> str:
     )
 
 
-def unit(value: Any) -> str:
-    """Return a unit as text."""
-    return "text" if value is None else value.to_string() or "1"
+def unit(value: str | None) -> str:
+    """Return a column's unit, as the page shows it."""
+    return "text" if value is None else value or "1"
 
 
 def options() -> str:

@@ -143,6 +143,21 @@ def _whole(header: Mapping[str, Any], word: str) -> int:
 
 
 class _CameraEntry(StrictModel):
+    """A camera of the mission.
+
+    Attributes
+    ----------
+    file
+        Its camera file; a path is relative to the mission file.
+    match
+        Header words and their values, one or several, that tell its pictures.
+    readout
+        Which words tell window and binning.
+    span_of
+        What a header's begin and end enclose: the exposure; or several frames, each of which is exposed so long, as the
+        framelets of a push-frame camera are.
+    """
+
     file: str
     match: dict[Keyword, Value | tuple[Value, ...]] = Field(default_factory=dict)
     readout: Readout | None = None
@@ -222,6 +237,33 @@ def _keyword_map() -> TypeAdapter[KeywordMap]:
 
 
 class MissionFile(StrictModel):
+    """What the workbench must know of a mission.
+
+    Attributes
+    ----------
+    spacecraft
+        As SPICE knows it.
+    clock_id
+        Spacecraft clock, SPICE.
+    bus_frame
+        SPICE frame of the spacecraft bus, the one that its CKs orient.
+    reference_body
+        Body to which the spacecraft position of the observables' partials refers.
+    default_targets
+        Bodies that are looked for where nobody names others, with kernels.
+    target_photometry
+        Brightness of targets by name.
+    target_surfaces
+        How targets scatter light, by name, their albedo map, shape and maplets, and how well size, axes, limb and law are
+        known.
+    target_stars
+        File of stars that can be targets.
+    cameras
+        The first whose words match a header took the picture.
+    keywords
+        Which header words hold what: the arguments of `opnav_workbench.image.KeywordMap`.
+    """
+
     name: str
     spacecraft: _Spacecraft
     clock_id: int

@@ -119,4 +119,9 @@ def test_generated_pages_hold_every_field_and_term():
     assert "twist\n: Position angle" in generate.glossary()
     assert "| `lab` |" in generate.options()
     assert "requirement" in generate.accuracy()
+    assert "| `et` | s | mid-exposure" in generate.exports()
+    surfaces = next(
+        line for line in generate.file_page(KINDS["mission"]).splitlines() if "`target_surfaces`" in line
+    )
+    assert "How targets scatter light" in surfaces
     assert set(PARTS) == {"lab", "docs", "cluster", "online"}
