@@ -75,11 +75,28 @@ def _tell_main_thread(number: int) -> None:
         signal.raise_signal(number)
 
 
+class _Reminder(threading.Thread):
+    """Tells the main thread of a signal until it has heard: one that comes just before it waits does not wake it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(daemon=True)
+        self._number, self._heard = number, threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        while not self._heard.wait(AGAIN_S):
+            _tell_main_thread(self._number)
+
+    def heard(self) -> None:
+        self._heard.set()
+
+
 @contextmanager
 def ended_by_signals() -> Iterator[Callable[[], None]]:
     """Raise `Terminated` in the block when the process is told to end (SIGTERM, SIGHUP), once.
 
-    Where Python swallows it, as in what runs while garbage is collected, it is raised again a moment later.
+    Where Python swallows it, as in what runs while garbage is collected, it is raised again a moment later, at the latest
+    when the block ends.
 
     Yields
     ------
@@ -89,10 +106,15 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
         numbers = []
+    reminders: list[_Reminder] = []
+    swallowed_now: list[int] = []
 
     def pass_over() -> None:
         for number in numbers:
             signal.signal(number, signal.SIG_IGN)
+        for reminder in reminders:
+            reminder.heard()
+        swallowed_now.clear()
 
     def end(number: int, _frame: FrameType | None) -> None:
         pass_over()
@@ -103,8 +125,9 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
         if isinstance(what.exc_value, Terminated):
             number = what.exc_value.status - 128
+            swallowed_now.append(number)
             signal.signal(number, end)
-            threading.Timer(AGAIN_S, _tell_main_thread, (number,)).start()
+            reminders.append(_Reminder(number))
         else:
             tell(what)
 
@@ -112,7 +135,14 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     sys.unraisablehook = swallowed
     try:
         yield pass_over
+        missed = tuple(swallowed_now)
+        pass_over()
+        if missed:
+            raise Terminated(missed[0])
     finally:
+        pass_over()
+        for reminder in reminders:  # one that still told would do so to the handlers of before
+            reminder.join()
         sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)

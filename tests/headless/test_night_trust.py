@@ -6,6 +6,7 @@ import shutil
 import signal
 import sqlite3
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +16,7 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign, database
-from opnav_workbench.cli import app, nightly
+from opnav_workbench.cli import app, nightly, terminal
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless import night as night_module
@@ -452,12 +453,26 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
 
 
-def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost():
-    """Python swallows what is raised there: one in eight nights of a storm went on, deaf to any other signal."""
+class Dying:
+    """Its end comes while garbage is collected: Python swallows what is raised there."""
 
-    class Dying:
-        def __del__(self):
-            os.kill(os.getpid(), signal.SIGTERM)
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost(monkeypatch):
+    """One in eight nights of a storm went on, deaf to any other signal.
+
+    The first reminder is lost here, as one is that comes when the main thread is about to wait, and does not yet.
+    """
+    told = []
+
+    def tell(number):
+        told.append(number)
+        if len(told) > 1:
+            signal.pthread_kill(threading.main_thread().ident, number)
+
+    monkeypatch.setattr(terminal, "_tell_main_thread", tell)
 
     def work() -> None:
         with ended_by_signals():
@@ -469,6 +484,30 @@ def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost():
         work()
     assert stop.value.status == 128 + signal.SIGTERM
     assert time.monotonic() - began < 10.0
+    assert len(told) > 1
+
+
+def test_a_signal_that_was_swallowed_ends_what_is_done_before_it_comes_again(monkeypatch):
+    """A watch's night has no right to keep it: the block around it is told; what is being written down is not."""
+    monkeypatch.setattr(terminal, "AGAIN_S", 60.0)
+    before = signal.getsignal(signal.SIGTERM)
+    went_on = []
+
+    def watch(passing: bool) -> None:
+        with ended_by_signals():
+            with ended_by_signals() as pass_over:
+                Dying()
+                if passing:
+                    pass_over()
+            went_on.append(passing)
+
+    began = time.monotonic()
+    with pytest.raises(Terminated):
+        watch(passing=False)
+    watch(passing=True)
+    assert went_on == [True]
+    assert time.monotonic() - began < 10.0
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 @pytest.mark.slow
