@@ -75,20 +75,36 @@ def _tell_main_thread(number: int) -> None:
         signal.raise_signal(number)
 
 
-class _Reminder(threading.Thread):
+class _Reminder:
     """Tells the main thread of a signal until it has heard: one that comes just before it waits does not wake it."""
 
-    def __init__(self, number: int) -> None:
-        super().__init__(daemon=True)
-        self._number, self._heard = number, threading.Event()
-        self.start()
+    def __init__(self) -> None:
+        self._told: list[tuple[int, threading.Event, threading.Thread]] = []
 
-    def run(self) -> None:
-        while not self._heard.wait(AGAIN_S):
-            _tell_main_thread(self._number)
+    def begin(self, number: int) -> None:
+        """Tell of a signal."""
+        heard = threading.Event()
+        thread = threading.Thread(target=self._tell, args=(number, heard), daemon=True)
+        self._told.append((number, heard, thread))
+        thread.start()
 
-    def heard(self) -> None:
-        self._heard.set()
+    @staticmethod
+    def _tell(number: int, heard: threading.Event) -> None:
+        while not heard.wait(AGAIN_S):
+            _tell_main_thread(number)
+
+    def heard(self) -> list[int]:
+        """Tell no more; return what was still to be told."""
+        left = [number for number, heard, _ in self._told if not heard.is_set()]
+        for _, heard, _ in self._told:
+            heard.set()
+        return left
+
+    def end(self) -> None:
+        """Tell no more, from now on."""
+        self.heard()
+        for _, _, thread in self._told:
+            thread.join()
 
 
 @contextmanager
@@ -106,15 +122,12 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
         numbers = []
-    reminders: list[_Reminder] = []
-    swallowed_now: list[int] = []
+    reminder = _Reminder()
 
     def pass_over() -> None:
         for number in numbers:
             signal.signal(number, signal.SIG_IGN)
-        for reminder in reminders:
-            reminder.heard()
-        swallowed_now.clear()
+        reminder.heard()
 
     def end(number: int, _frame: FrameType | None) -> None:
         pass_over()
@@ -125,9 +138,8 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     def swallowed(what: "sys.UnraisableHookArgs") -> None:
         if isinstance(what.exc_value, Terminated):
             number = what.exc_value.status - 128
-            swallowed_now.append(number)
             signal.signal(number, end)
-            reminders.append(_Reminder(number))
+            reminder.begin(number)
         else:
             tell(what)
 
@@ -135,14 +147,11 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     sys.unraisablehook = swallowed
     try:
         yield pass_over
-        missed = tuple(swallowed_now)
-        pass_over()
-        if missed:
-            raise Terminated(missed[0])
+        for number in reminder.heard():
+            end(number, None)
     finally:
         pass_over()
-        for reminder in reminders:  # one that still told would do so to the handlers of before
-            reminder.join()
+        reminder.end()  # before the handlers are those of before, which are not to be told
         sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)
