@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from opnav_workbench.errors import SessionError, plain_line
-from opnav_workbench.files import inside, make_folder, sha256_of, write_json
+from opnav_workbench.files import fitting_name, inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import (
     NightInputs,
@@ -191,18 +191,22 @@ def plan_night(
     with spec.kernel_set():
         notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
         inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
-        # Folders of the night have names that a log, a page and an archive can show.
         names = picture_names(pictures_of_night(spec), partial(_folder_owner, folder))
         pictures = [
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
-            for image, name in zip(names, map(plain_line, names.values()), strict=True)
+            for image, name in zip(names, map(_shown_name, names.values()), strict=True)
         ]
     return NightPlan(spec, folder, tuple(pictures), inputs)
 
 
+def _shown_name(name: str) -> str:
+    """Return the name of a picture's folder as a log, a page and an archive can show it, not longer than a name may be."""
+    return fitting_name(plain_line(name))
+
+
 def _folder_owner(out: Path, name: str) -> FolderOwner | None:
     """Return whose a folder of a night is; a night's own files, links and whatever is no folder are nobody's picture's."""
-    folder = out / plain_line(name)
+    folder = out / _shown_name(name)
     if folder.name.startswith(OWN_NAMES) or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         return FolderOwner(out)
     record = read_record(folder)

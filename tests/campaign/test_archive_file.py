@@ -99,7 +99,8 @@ def test_a_newer_archive_is_refused_and_left_alone(make_run, tmp_path):
         connection.execute("PRAGMA user_version = 99")
     before = path.read_bytes()
     with pytest.raises(
-        SessionError, match=rf"schema 99, this program knows {SCHEMA_VERSION} at most.*nothing has been changed"
+        SessionError,
+        match=rf"schema 99, this program knows {SCHEMA_VERSION} at most.*nothing has been changed",
     ):
         Campaign(path)
     assert path.read_bytes() == before

@@ -19,10 +19,12 @@ from opnav_workbench.campaign import Campaign, database
 from opnav_workbench.cli import app, nightly, terminal
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import fitting_name
 from opnav_workbench.headless import night as night_module
 from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_workers import NotebookOutcome
 from opnav_workbench.headless.notebook_run import for_papermill
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.kernels.files import kernel_file
@@ -219,6 +221,31 @@ def test_names_that_mean_something_elsewhere_are_names(images, out):
     write_night_summary(night(images, out))
     assert set(states(images, out).values()) == {"done"}
     assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
+
+
+def test_names_as_long_as_a_file_system_takes_them_are_names(images, out, tmp_path):
+    """Working folders, folders named after two, and escapes would be longer."""
+    long, escaped = "x" * 251, "\x1b" * 100
+    for folder in ("one" * 20, "two" * 20):
+        (tmp_path / folder).mkdir()
+        for name in (long, "é" * 125, escaped):
+            (tmp_path / folder / f"{name}.fit").write_text(folder + name)
+    seen = tmp_path / "*" / "*.fit"
+
+    class Pool(StubPool):
+        def run(self, jobs):
+            names = [fitting_name(job.name, "-working") for job in jobs]
+            assert len({*names}) == len(jobs)
+            for job, name in zip(jobs, names, strict=True):
+                folder = Path(job.folder) / name
+                folder.mkdir(parents=True)
+                result_of(job, folder)
+                yield NotebookOutcome(job.name, str(folder), "", "", 1.0, 10.0)
+
+    write_night_summary(night(seen, out, Pool()))
+    known = states(seen, out)
+    assert len(known) == 7
+    assert set(known.values()) == {"done"}
 
 
 def test_an_archive_that_another_program_holds_delays_a_night_once(images, out, monkeypatch):
