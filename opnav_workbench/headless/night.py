@@ -225,22 +225,31 @@ def _planned(
     choice: NightChoice,
 ) -> NightPicture:
     record = read_record(folder)
-    basis = _basis(image, record, mission, spec)
-    beside = _beside(image)
+    sidecar = find_sidecar(image)
+    basis = _basis(image, None if sidecar else record, mission, spec)
+    beside = _beside(sidecar)
     mark = inputs.fingerprint(basis.image_sha256, basis.et, beside) if basis.image_sha256 else ""
     used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
     state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
-    if state == "done" and not result_field(folder, "status"):
+    if state == "done" and not _has_result(folder, record):
         state, why = "new", (f"its {RESULT_FILE} is missing or damaged",)
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
         state, why = "arriving", (f"its file was written {age:.0f} s ago, and may not be whole",)
     return NightPicture(image, name, mark, state, why, basis)
 
 
-def _beside(image: Path) -> dict[str, str]:
+def _has_result(folder: Path, record: NightRecord | None) -> bool:
+    """Tell whether a folder has a result that can be read; one that is as the night wrote it need not be taken apart."""
+    if record is not None and record.status and (known := record.files.get(RESULT_FILE)):
+        with suppress(OSError):
+            if sha256_of(folder / RESULT_FILE) == known:
+                return True
+    return bool(result_field(folder, "status"))
+
+
+def _beside(path: Path | None) -> dict[str, str]:
     """Return the digest of what lies beside a picture and tells of it: a sidecar, image support data."""
-    path = find_sidecar(image)
     try:
         return {} if path is None else {f"beside {path.name}": sha256_of(path)}
     except OSError:  # gone again, or unreadable for now: processing will say it
@@ -261,10 +270,10 @@ def _age_s(image: Path) -> float:
 
 
 def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: NightSpec) -> NightRecord:
-    """What is known of a picture; a file that has not been touched since is not read again."""
+    """What is known of a picture; a file that has not been touched since its record was made is not read again."""
     limits = {"time_limit_s": spec.time_limit_s, "memory_limit_mb": spec.memory_limit_mb}
     stamp = file_stamp(image)
-    if record is not None and stamp and record.stamp == stamp and find_sidecar(image) is None:
+    if record is not None and stamp and record.stamp == stamp:
         return NightRecord(
             str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
         )
