@@ -16,6 +16,8 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign, database
+from opnav_workbench.campaign import archive as campaign_archive
+from opnav_workbench.campaign.run_folder import read_run
 from opnav_workbench.cli import app, nightly, terminal
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
@@ -246,6 +248,28 @@ def test_names_as_long_as_a_file_system_takes_them_are_names(images, out, tmp_pa
     known = states(seen, out)
     assert len(known) == 7
     assert set(known.values()) == {"done"}
+
+
+def test_a_picture_that_is_done_is_not_read_again_for_the_archive(images, out, monkeypatch):
+    """Reading 7,000 of them took a night twenty seconds."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    read: list[str] = []
+    monkeypatch.setattr(
+        campaign_archive, "read_run", lambda place: read.append(place.name) or read_run(place)
+    )
+    night(images, out)
+    assert read == []
+    (out / "b" / "result.json").unlink()
+    night(images, out)
+    assert read == ["b"]
+    # An archive that is made anew takes all in, and knows them from then on.
+    (out / "campaign.sqlite").write_bytes(b"damaged")
+    night(images, out)
+    assert set(read) == {"a", "b"}
+    read.clear()
+    night(images, out)
+    assert read == []
 
 
 def test_an_archive_that_another_program_holds_delays_a_night_once(images, out, monkeypatch):
