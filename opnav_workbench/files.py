@@ -20,6 +20,7 @@ __all__ = [
     "atomic_path",
     "digest",
     "files_named",
+    "fitting_name",
     "given_cell",
     "inside",
     "json_text",
@@ -35,6 +36,7 @@ __all__ = [
 ]
 
 HASH_CHUNK_BYTES = 1 << 20
+LONGEST_NAME_BYTES, NAME_DIGITS = 255, 8  # of a file or folder; of a digest in a name that was cut
 LONGEST_WHOLE = 40  # digits; twice those of a 64-bit number
 LARGEST_TEXT_BYTES = 256 << 20  # a result with a hundred thousand stars has 60 MB
 
@@ -263,6 +265,21 @@ def files_named(top: str | os.PathLike[str], *names: str) -> list[Path]:
     return sorted(
         p for p in found if not any(part.startswith(".") for part in p.relative_to(base).parts[:-1])
     )
+
+
+def fitting_name(name: str, ending: str = "") -> str:
+    """Return a name with an ending, cut where a file system takes none of so many bytes; a digest keeps it one of its own.
+
+    Examples
+    --------
+    >>> fitting_name("lor_1", "-carried"), fitting_name("x" * 250, "-carried")[-20:]
+    ('lor_1-carried', 'xxx-086d4a1c-carried')
+    """
+    encoded, room = os.fsencode(name), LONGEST_NAME_BYTES - len(os.fsencode(ending))
+    if len(encoded) <= room:
+        return name + ending
+    mark = f"-{hashlib.sha256(encoded).hexdigest()[:NAME_DIGITS]}"
+    return encoded[: room - len(mark)].decode("utf-8", errors="ignore") + mark + ending
 
 
 def inside(folder: str | os.PathLike[str], name: str) -> Path:

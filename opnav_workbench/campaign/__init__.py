@@ -33,7 +33,7 @@ from opnav_workbench.campaign.archive import Campaign, ImageEntry, export_observ
 from opnav_workbench.campaign.comparison import Comparison, Difference, compare
 from opnav_workbench.campaign.database import ARCHIVE_FILE, ArchiveBusy, ArchiveDamaged
 from opnav_workbench.campaign.detection_curve import Completeness, completeness
-from opnav_workbench.campaign.ingest import Ingested, IngestReport
+from opnav_workbench.campaign.ingest import Ingested, IngestReport, KnownRun
 from opnav_workbench.campaign.outliers import screen
 from opnav_workbench.campaign.run_folder import find_runs
 from opnav_workbench.campaign.trend_series import Series, Trends, trends
@@ -49,6 +49,7 @@ __all__ = [
     "ImageEntry",
     "IngestReport",
     "Ingested",
+    "KnownRun",
     "Series",
     "Trends",
     "compare",

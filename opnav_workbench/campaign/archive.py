@@ -4,10 +4,11 @@ Its digest is free of everything that depends on when, where and in what order i
 file: ECSV with every column that the runs' own files have, CSV, JSON or TDM.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import sqlalchemy as sa
@@ -15,7 +16,15 @@ from astropy.table import QTable, Table
 
 from opnav_workbench.campaign import browsing
 from opnav_workbench.campaign.database import ARCHIVE_FILE, Database
-from opnav_workbench.campaign.ingest import Ingested, IngestReport, changes_nothing, put_run
+from opnav_workbench.campaign.ingest import (
+    Ingested,
+    IngestReport,
+    KnownRun,
+    changes_nothing,
+    known_runs,
+    put_readings,
+    put_run,
+)
 from opnav_workbench.campaign.queries import (
     query_observables,
     query_origins,
@@ -23,7 +32,7 @@ from opnav_workbench.campaign.queries import (
     query_solutions,
     query_table,
 )
-from opnav_workbench.campaign.run_folder import find_runs, read_run, without_times
+from opnav_workbench.campaign.run_folder import Reading, find_runs, moment_of, read_run, without_times
 from opnav_workbench.campaign.schema import PARTS, tables
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import atomic_path, digest
@@ -144,6 +153,7 @@ class Campaign:
     def __init__(self, path: str | Path, *, create: bool = True) -> None:
         file = Path(path)
         self._database = Database(file / ARCHIVE_FILE if is_folder(file) else file, create=create)
+        self._readings: list[Reading] = []
 
     def __enter__(self) -> "Campaign":
         return self
@@ -187,21 +197,46 @@ class Campaign:
         """
         tops = [runs] if isinstance(runs, str | Path) else list(runs)
         folders = dict.fromkeys(folder for top in tops for folder in find_runs(top))
-        results = []
+        known, results = self.known_runs(), []
         for folder in folders:
-            results.append(self.ingest_run(folder))
+            results.append(self.ingest_run(folder, known))
             say(results[-1])
+        self.keep_readings()
         return IngestReport(tuple(results))
 
-    def ingest_run(self, folder: str | Path) -> Ingested:
-        """Take in one run folder; never raises for what is wrong with it."""
+    def known_runs(self) -> dict[str, KnownRun]:
+        """Return by folder the runs that `ingest_run` need not read as long as their files are not written."""
+        with self._database.read() as connection:
+            return known_runs(connection)
+
+    def keep_readings(self) -> None:
+        """Keep what was read and found unchanged, so that it is known next time; an archive that is busy goes without."""
+        found, self._readings = self._readings, []
+        if found:
+            with suppress(SessionError):
+                self._database.write(lambda connection: put_readings(connection, found))
+
+    def ingest_run(
+        self, folder: str | Path, known: Mapping[str, KnownRun] = MappingProxyType({})
+    ) -> Ingested:
+        """Take in one run folder; never raises for what is wrong with it.
+
+        Parameters
+        ----------
+        known
+            From `known_runs`: what stands there as it stood is not read.
+        """
         place = Path(folder)
+        standing = known.get(str(place.resolve())) if known else None
+        if standing is not None and standing.moment == moment_of(place):
+            return Ingested(place, standing.image, "unchanged")
         try:
             run = read_run(place)
         except SessionError as error:
             return Ingested(place, "", "skipped", str(error))
         with self._database.read() as connection:
             if changes_nothing(connection, run):
+                self._readings.append(run.reading)
                 return Ingested(place, run.image["image"], "unchanged")
         result = self._database.write(lambda connection: put_run(connection, run))
         return Ingested(place, run.image["image"], result)

@@ -7,6 +7,7 @@ the archive:
 
 version 1   the first archives: no journal, and no reasons for an analyst to look
 version 2   ``journal``; ``images.attention``
+version 3   ``readings``
 
 Reference: https://sqlite.org/wal.html, https://sqlite.org/lang_transaction.html
 """
@@ -81,7 +82,12 @@ def _from_1(connection: sa.Connection) -> None:
         connection.execute(images.update().where(images.c.id == row.id).values(attention=list(reasons)))
 
 
-MIGRATIONS: dict[int, Callable[[sa.Connection], None]] = {1: _from_1}
+def _from_2(connection: sa.Connection) -> None:
+    """Add the readings: none is known yet."""
+    tables["readings"].create(connection)
+
+
+MIGRATIONS: dict[int, Callable[[sa.Connection], None]] = {1: _from_1, 2: _from_2}
 
 
 # ---- The archive's file: opened by many processes at once, brought to the present schema, never half-written.

@@ -4,7 +4,7 @@ Of several runs of one picture the one processed last stands; the others are his
 is history too once something else stands in it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,13 +13,14 @@ from typing import Any, Literal
 import sqlalchemy as sa
 from sqlalchemy.dialects.sqlite import insert
 
-from opnav_workbench.campaign.run_folder import RunRows
+from opnav_workbench.campaign.run_folder import Reading, RunRows
 from opnav_workbench.campaign.schema import PARTS, tables
 
-__all__ = ["IngestReport", "Ingested", "changes_nothing", "put_run"]
+__all__ = ["IngestReport", "Ingested", "KnownRun", "changes_nothing", "known_runs", "put_readings", "put_run"]
 
 IngestResult = Literal["new", "unchanged", "replaced", "older", "skipped"]
 IMAGES, HISTORY, COLUMNS = tables["images"], tables["history"], tables["observable_columns"]
+READINGS = tables["readings"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,37 @@ class IngestReport:
         return tuple(ingested for ingested in self.results if ingested.result == "skipped")
 
 
+@dataclass(frozen=True, slots=True)
+class KnownRun:
+    """A run that stands in the archive.
+
+    Attributes
+    ----------
+    image
+        Name of its picture.
+    moment
+        When its folder's files were written (`run_folder.moment_of`); as long as they tell the same they hold the same.
+    """
+
+    image: str
+    moment: str
+
+
+def known_runs(connection: sa.Connection) -> dict[str, KnownRun]:
+    """Return by folder what stands and need not be read as long as its files were not written."""
+    same = (READINGS.c.folder == IMAGES.c.folder) & (READINGS.c.content_sha256 == IMAGES.c.content_sha256)
+    query = sa.select(IMAGES.c.folder, IMAGES.c.image, READINGS.c.moment).join(READINGS, same)
+    return {folder: KnownRun(image, moment) for folder, image, moment in connection.execute(query)}
+
+
+def put_readings(connection: sa.Connection, readings: Iterable[Reading]) -> None:
+    """Keep when the files of runs were written; call it in a transaction."""
+    for folder, moment, content_sha256 in readings:
+        row = {"moment": moment, "content_sha256": content_sha256}
+        kept = insert(READINGS).values(folder=folder, **row)
+        connection.execute(kept.on_conflict_do_update(index_elements=[READINGS.c.folder], set_=row))
+
+
 def changes_nothing(connection: sa.Connection, run: RunRows) -> bool:
     """Tell whether exactly this run stands already; asked before the lock is taken."""
     standing = _standing(connection, run.key)
@@ -67,6 +99,7 @@ def changes_nothing(connection: sa.Connection, run: RunRows) -> bool:
 
 def put_run(connection: sa.Connection, run: RunRows) -> IngestResult:
     """Put a run into its place; call it in a transaction."""
+    put_readings(connection, [run.reading])
     for row in connection.execute(
         sa.select(IMAGES).where(IMAGES.c.folder == str(run.folder), IMAGES.c.key != run.key)
     ).all():

@@ -12,12 +12,12 @@ import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from astropy import units as u
@@ -29,12 +29,15 @@ from opnav_workbench.files import digest, files_named, read_json, text_of
 from opnav_workbench.format_versions import as_of_today, unstamped
 from opnav_workbench.paths import exists, is_file, is_folder, is_text
 from opnav_workbench.session.storage import RESULT_FILE, SESSION_FILE, TABLE_FILE
+from opnav_workbench.version import __version__
 
 __all__ = [
     "ObservableColumn",
+    "Reading",
     "RunRows",
     "attention_reasons",
     "find_runs",
+    "moment_of",
     "observables_from_rows",
     "read_run",
     "without_times",
@@ -139,6 +142,14 @@ DECISIONS = {
 PARTS_OF_RESULT = ("pointing", "stars", "bodies", "provenance", "attention")
 
 
+class Reading(NamedTuple):
+    """What a folder's files held at a moment (`moment_of`)."""
+
+    folder: str
+    moment: str
+    content_sha256: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunRows:
     """One picture's run as rows of the archive.
@@ -157,6 +168,8 @@ class RunRows:
         Row of ``images``.
     parts
         Rows of the other tables, in order.
+    moment
+        As `moment_of` tells it: when the files were written that were read.
     """
 
     folder: Path
@@ -167,6 +180,12 @@ class RunRows:
     image: Mapping[str, Any]
     parts: Mapping[str, Sequence[Mapping[str, Any]]]
     observable_columns: Sequence[ObservableColumn]
+    moment: str = ""
+
+    @property
+    def reading(self) -> Reading:
+        """Folder, moment and content."""
+        return Reading(str(self.folder), self.moment, self.content_sha256)
 
 
 def find_runs(path: str | Path) -> Iterator[Path]:
@@ -212,7 +231,7 @@ def read_run(folder: str | Path) -> RunRows:
                 raise
         else:
             if _moment(place) == before:
-                return run
+                return replace(run, moment=_moment_text(before))
         time.sleep(PAUSE_S)
     raise SessionError("it is being written; take it in again when that is done")
 
@@ -223,8 +242,19 @@ def _moment(place: Path) -> tuple[tuple[int, ...], ...]:
     for path in (place, *(place / name for name in (RESULT_FILE, TABLE_FILE, SESSION_FILE))):
         with suppress(OSError):
             status = path.stat()
-            found.append((status.st_ino, status.st_size, 0 if path == place else status.st_mtime_ns))
+            # Beside the folder's files others come and go; a file's second time changes whatever its first is set to.
+            times = (0, 0) if path == place else (status.st_mtime_ns, status.st_ctime_ns)
+            found.append((status.st_ino, status.st_size, *times))
     return tuple(found)
+
+
+def moment_of(place: Path) -> str:
+    """Return a text that is another one as soon as a file of the run has been written, or another version would read it."""
+    return _moment_text(_moment(place))
+
+
+def _moment_text(moment: tuple[tuple[int, ...], ...]) -> str:
+    return "/".join((__version__, *(" ".join(map(str, numbers)) for numbers in moment)))
 
 
 def _read(place: Path) -> RunRows:

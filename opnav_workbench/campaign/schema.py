@@ -7,6 +7,7 @@ images ─┬─ pointings (at most one)   provenance (one)
         ├─ stars   bodies   observables   decisions   journal      (in the order of the result)
 history    what stood before, one row a picture and content
 observable_columns   units and descriptions of the observables' columns, as their files state them
+readings   when a folder's files were written that were read, and what they held: as long as both stand it is not read again
 """
 
 from collections.abc import Mapping, Sequence
@@ -192,7 +193,7 @@ def _checked(value: Any, column: Column) -> Any:
 
 # ---- The tables, made from these columns.
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 APPLICATION_ID = 0x4F504E56  # "OPNV": says to `file` and to us whose database this is
 
 metadata = sa.MetaData()
@@ -289,5 +290,12 @@ sa.Table(
     sa.Column("folder", sa.Text),
     sa.Column("processed_utc", sa.Text),
     sa.Column("ingested_utc", sa.Text),
+)
+sa.Table(
+    "readings",
+    metadata,
+    sa.Column("folder", sa.Text, primary_key=True),
+    sa.Column("moment", sa.Text, nullable=False),
+    sa.Column("content_sha256", sa.Text, nullable=False),
 )
 tables: dict[str, sa.Table] = dict(metadata.tables)

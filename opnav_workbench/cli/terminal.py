@@ -75,11 +75,44 @@ def _tell_main_thread(number: int) -> None:
         signal.raise_signal(number)
 
 
+class _Reminder:
+    """Tells the main thread of a signal until it has heard: one that comes just before it waits does not wake it."""
+
+    def __init__(self) -> None:
+        self._told: list[tuple[int, threading.Event, threading.Thread]] = []
+
+    def begin(self, number: int) -> None:
+        """Tell of a signal."""
+        heard = threading.Event()
+        thread = threading.Thread(target=self._tell, args=(number, heard), daemon=True)
+        self._told.append((number, heard, thread))
+        thread.start()
+
+    @staticmethod
+    def _tell(number: int, heard: threading.Event) -> None:
+        while not heard.wait(AGAIN_S):
+            _tell_main_thread(number)
+
+    def heard(self) -> list[int]:
+        """Tell no more; return what was still to be told."""
+        left = [number for number, heard, _ in self._told if not heard.is_set()]
+        for _, heard, _ in self._told:
+            heard.set()
+        return left
+
+    def end(self) -> None:
+        """Tell no more, from now on."""
+        self.heard()
+        for _, _, thread in self._told:
+            thread.join()
+
+
 @contextmanager
 def ended_by_signals() -> Iterator[Callable[[], None]]:
     """Raise `Terminated` in the block when the process is told to end (SIGTERM, SIGHUP), once.
 
-    Where Python swallows it, as in what runs while garbage is collected, it is raised again a moment later.
+    Where Python swallows it, as in what runs while garbage is collected, it is raised again a moment later, at the latest
+    when the block ends.
 
     Yields
     ------
@@ -89,10 +122,12 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     if threading.current_thread() is not threading.main_thread():  # only there signals can be handled
         numbers = []
+    reminder = _Reminder()
 
     def pass_over() -> None:
         for number in numbers:
             signal.signal(number, signal.SIG_IGN)
+        reminder.heard()
 
     def end(number: int, _frame: FrameType | None) -> None:
         pass_over()
@@ -104,7 +139,7 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
         if isinstance(what.exc_value, Terminated):
             number = what.exc_value.status - 128
             signal.signal(number, end)
-            threading.Timer(AGAIN_S, _tell_main_thread, (number,)).start()
+            reminder.begin(number)
         else:
             tell(what)
 
@@ -112,7 +147,11 @@ def ended_by_signals() -> Iterator[Callable[[], None]]:
     sys.unraisablehook = swallowed
     try:
         yield pass_over
+        for number in reminder.heard():
+            end(number, None)
     finally:
+        pass_over()
+        reminder.end()  # before the handlers are those of before, which are not to be told
         sys.unraisablehook = tell
         for number, handler in before.items():
             signal.signal(number, handler)

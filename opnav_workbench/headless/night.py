@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from opnav_workbench.errors import SessionError, plain_line
-from opnav_workbench.files import inside, make_folder, sha256_of, write_json
+from opnav_workbench.files import fitting_name, inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import (
     NightInputs,
@@ -191,18 +191,22 @@ def plan_night(
     with spec.kernel_set():
         notebook = sha256_of(spec.notebook) if spec.notebook else PACKAGED_NOTEBOOK
         inputs = night_inputs(spec, mission, _parameters(spec, Path("picture")), notebook)
-        # Folders of the night have names that a log, a page and an archive can show.
         names = picture_names(pictures_of_night(spec), partial(_folder_owner, folder))
         pictures = [
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
-            for image, name in zip(names, map(plain_line, names.values()), strict=True)
+            for image, name in zip(names, map(_shown_name, names.values()), strict=True)
         ]
     return NightPlan(spec, folder, tuple(pictures), inputs)
 
 
+def _shown_name(name: str) -> str:
+    """Return the name of a picture's folder as a log, a page and an archive can show it, not longer than a name may be."""
+    return fitting_name(plain_line(name))
+
+
 def _folder_owner(out: Path, name: str) -> FolderOwner | None:
     """Return whose a folder of a night is; a night's own files, links and whatever is no folder are nobody's picture's."""
-    folder = out / plain_line(name)
+    folder = out / _shown_name(name)
     if folder.name.startswith(OWN_NAMES) or folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         return FolderOwner(out)
     record = read_record(folder)
@@ -221,22 +225,31 @@ def _planned(
     choice: NightChoice,
 ) -> NightPicture:
     record = read_record(folder)
-    basis = _basis(image, record, mission, spec)
-    beside = _beside(image)
+    sidecar = find_sidecar(image)
+    basis = _basis(image, None if sidecar else record, mission, spec)
+    beside = _beside(sidecar)
     mark = inputs.fingerprint(basis.image_sha256, basis.et, beside) if basis.image_sha256 else ""
     used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
     state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
-    if state == "done" and not result_field(folder, "status"):
+    if state == "done" and not _has_result(folder, record):
         state, why = "new", (f"its {RESULT_FILE} is missing or damaged",)
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
         state, why = "arriving", (f"its file was written {age:.0f} s ago, and may not be whole",)
     return NightPicture(image, name, mark, state, why, basis)
 
 
-def _beside(image: Path) -> dict[str, str]:
+def _has_result(folder: Path, record: NightRecord | None) -> bool:
+    """Tell whether a folder has a result that can be read; one that is as the night wrote it need not be taken apart."""
+    if record is not None and record.status and (known := record.files.get(RESULT_FILE)):
+        with suppress(OSError):
+            if sha256_of(folder / RESULT_FILE) == known:
+                return True
+    return bool(result_field(folder, "status"))
+
+
+def _beside(path: Path | None) -> dict[str, str]:
     """Return the digest of what lies beside a picture and tells of it: a sidecar, image support data."""
-    path = find_sidecar(image)
     try:
         return {} if path is None else {f"beside {path.name}": sha256_of(path)}
     except OSError:  # gone again, or unreadable for now: processing will say it
@@ -257,10 +270,10 @@ def _age_s(image: Path) -> float:
 
 
 def _basis(image: Path, record: NightRecord | None, mission: Mission, spec: NightSpec) -> NightRecord:
-    """What is known of a picture; a file that has not been touched since is not read again."""
+    """What is known of a picture; a file that has not been touched since its record was made is not read again."""
     limits = {"time_limit_s": spec.time_limit_s, "memory_limit_mb": spec.memory_limit_mb}
     stamp = file_stamp(image)
-    if record is not None and stamp and record.stamp == stamp and find_sidecar(image) is None:
+    if record is not None and stamp and record.stamp == stamp:
         return NightRecord(
             str(image), "", "", image_sha256=record.image_sha256, stamp=stamp, et=record.et, limits=limits
         )

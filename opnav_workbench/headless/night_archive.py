@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 
-from opnav_workbench.campaign import ARCHIVE_FILE, ArchiveBusy, ArchiveDamaged, Campaign, find_runs
+from opnav_workbench.campaign import ARCHIVE_FILE, ArchiveBusy, ArchiveDamaged, Campaign, KnownRun, find_runs
 from opnav_workbench.errors import OpNavError, SessionError
 
 __all__ = ["NightArchive"]
@@ -36,6 +36,7 @@ class NightArchive:
         self._late: list[Path] = []
         if self._path.is_dir():
             self._path /= ARCHIVE_FILE
+        self._known: dict[str, KnownRun] = {}
         self._campaign = self._opened()
 
     @property
@@ -45,12 +46,21 @@ class NightArchive:
 
     def _opened(self) -> Campaign:
         try:
-            return Campaign(self._path)
+            campaign = Campaign(self._path)
         except ArchiveDamaged as error:
             return self._made_anew(error)
+        try:
+            self._known = campaign.known_runs()  # at once: read one by one, 100,000 take minutes
+        except ArchiveDamaged as error:
+            campaign.close()
+            return self._made_anew(error)
+        except SessionError:  # each picture says it, and is read
+            self._known = {}
+        return campaign
 
     def _made_anew(self, error: OpNavError) -> Campaign:
         ending = f".damaged-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        self._known = {}
         for end in BESIDE:
             file = self._path.with_name(self._path.name + end)
             if file.exists():
@@ -93,11 +103,13 @@ class NightArchive:
                 reason = busy = str(error)
             if reason:
                 yield folder, reason
+        if not busy:
+            self._campaign.keep_readings()
 
     def _taken(self, folder: Path) -> str:
         try:
             try:
-                taken = self._campaign.ingest_run(folder)
+                taken = self._campaign.ingest_run(folder, self._known)
             except ArchiveDamaged as error:
                 self._campaign.close()
                 self._campaign = self._made_anew(error)

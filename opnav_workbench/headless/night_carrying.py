@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from opnav_workbench.errors import OpNavError, plain_line
+from opnav_workbench.files import fitting_name
 from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.records import (
     RECORD_FILE,
@@ -84,7 +85,7 @@ def _is_the_nights(folder: Path) -> bool:
 def _carried(
     folder: Path, near: Sequence[SolvedAttitude], opened: OpenedProcessing, work: Path
 ) -> CarriedPicture:
-    record, copy = read_record(folder), work / f"{folder.name}-carried"
+    record, copy = read_record(folder), work / fitting_name(folder.name, "-carried")
     assert record is not None
     shutil.copytree(folder, copy, ignore=shutil.ignore_patterns(RECORD_FILE, LOCK_FILE))
     try:

@@ -23,7 +23,7 @@ import psutil
 
 from opnav_workbench import errors
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import json_value, text_of, write_json
+from opnav_workbench.files import fitting_name, json_value, text_of, write_json
 from opnav_workbench.headless.faults import FAULTS, fault_of_report
 from opnav_workbench.headless.starting import (
     Child,
@@ -158,7 +158,7 @@ def process_picture(
 
 def _one_try(job: NotebookRequest, stop: threading.Event, starter: Starter) -> NotebookOutcome:
     # Its own for every try: what a lost process may still write harms nobody.
-    folder = Path(job.folder) / f"{job.name}-{uuid.uuid4().hex[:8]}"
+    folder = Path(job.folder) / fitting_name(job.name, f"-{uuid.uuid4().hex[:8]}")
     try:
         with _running(job, folder, starter) as child:
             started = time.monotonic()

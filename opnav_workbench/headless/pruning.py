@@ -15,6 +15,7 @@ from pathlib import Path
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
+from opnav_workbench.headless.night_summary import forget_missing_files
 from opnav_workbench.headless.records import RECORD_FILE, is_of_an_analyst, read_record, session_digest
 from opnav_workbench.paths import is_folder
 from opnav_workbench.session.folder_lock import FolderLock, check_unlocked
@@ -108,6 +109,8 @@ def _size(path: Path) -> int:
 def prune(out: Path, keep: Retention) -> tuple[Superfluous, ...]:
     """Delete what is older than it must be, and return what has gone; whoever opens a picture meanwhile keeps all of it.
 
+    The night's summary and pages are written anew, without the files that have gone.
+
     Raises
     ------
     SessionError
@@ -125,6 +128,8 @@ def prune(out: Path, keep: Retention) -> tuple[Superfluous, ...]:
         except OSError as error:
             raise SessionError(f"cannot delete {item.path}: {error.strerror or error}.") from error
         gone.append(item)
+    if any(item.kind != "attic" for item in gone):
+        forget_missing_files(out)
     return tuple(gone)
 
 

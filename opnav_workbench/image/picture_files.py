@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.files import digest, sha256_of
+from opnav_workbench.files import digest, fitting_name, sha256_of
 from opnav_workbench.lazy_names import module_on_demand
 from opnav_workbench.paths import is_file, is_folder
 
@@ -170,7 +170,8 @@ def _kept_names(pictures: Sequence[Path], owners: Mapping[str, FolderOwner | Non
 
 def _candidates(path: Path) -> tuple[str, str, str]:
     longer = f"{path.parent.name}_{path.stem}"
-    return path.stem, longer, f"{longer}-{digest(os.fsencode(path).hex())[:PATH_DIGITS]}"
+    ending = f"-{digest(os.fsencode(path).hex())[:PATH_DIGITS]}"
+    return path.stem, fitting_name(longer), fitting_name(longer, ending)
 
 
 def _is_at(path: Path, owner: FolderOwner, _present: Collection[Path]) -> bool:

@@ -1,12 +1,15 @@
 """What becomes of runs in the archive: once, replaced, older, damaged, in any order."""
 
+import contextlib
 import json
 import os
+import sqlite3
 
 import numpy as np
 import pytest
 
-from opnav_workbench.campaign import Campaign
+from opnav_workbench.campaign import Campaign, archive
+from opnav_workbench.campaign.run_folder import read_run
 from opnav_workbench.errors import SessionError
 
 
@@ -52,6 +55,43 @@ def test_the_same_run_twice_changes_nothing(make_run, tmp_path):
         assert ingested(campaign, run, run) == ["unchanged"] * 2
         assert (campaign.path.read_bytes(), campaign.digest(), campaign.images()["folder"][0]) == before
         assert campaign.history() == []
+
+
+def test_a_run_that_stands_is_read_again_only_when_one_of_its_files_was_written(
+    make_run, tmp_path, monkeypatch
+):
+    read = []
+    monkeypatch.setattr(archive, "read_run", lambda place: read.append(place.name) or read_run(place))
+    runs = [make_run(tmp_path / "a", 1), make_run(tmp_path / "b", 2)]
+    path = tmp_path / "c.sqlite"
+
+    def read_at_next_ingest():
+        read.clear()
+        with Campaign(path) as campaign:
+            unchanged = campaign.ingest(runs).count("unchanged")
+        return unchanged, read
+
+    assert read_at_next_ingest() == (0, ["a", "b"])
+    assert read_at_next_ingest() == (2, [])
+    # Other content of the same length, with the times of before.
+    result = runs[0] / "result.json"
+    times = result.stat()
+    result.write_text(result.read_text().replace('"status": "ok"', '"status": "no"', 1))
+    os.utime(result, ns=(times.st_atime_ns, times.st_mtime_ns))
+    assert read_at_next_ingest() == (1, ["a"])
+    make_run(tmp_path / "a", 1)
+    assert read_at_next_ingest() == (2, ["a"])
+    assert read_at_next_ingest() == (2, [])
+    # Another folder of the picture stands now: this one is an older run again.
+    with Campaign(path) as campaign:
+        later = make_run(tmp_path / "later", 1, minute=9, edit=lambda result, _: result.update(utc=None))
+        assert campaign.ingest_run(later).result == "replaced"
+    assert read_at_next_ingest() == (1, ["a"])
+    # An archive of version 2 knows no readings: all is read once more.
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.executescript("DROP TABLE readings; PRAGMA user_version = 2;")
+    assert read_at_next_ingest() == (1, ["a", "b"])
+    assert read_at_next_ingest() == (1, ["a"])
 
 
 def test_a_reprocessed_picture_replaces_its_rows_and_leaves_history(make_run, tmp_path):

@@ -81,7 +81,7 @@ def test_every_fault_is_named_and_costs_its_picture_only(tmp_path, stand_in):
 
 @pytest.mark.slow
 def test_time_limit_is_named(tmp_path, stand_in):
-    folder = pictures(tmp_path / "in", d="sleep")
+    folder = pictures(tmp_path / "in", **{"d" * 251: "sleep"})  # as long as a name may be
     night = night_of(folder, stand_in, tmp_path / "out", LocalPool(1), time_limit_s=4.0)
     (verdict,) = night.verdicts
     assert verdict.fault == "limit"

@@ -6,6 +6,7 @@ import shutil
 import signal
 import sqlite3
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,13 +16,17 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign, database
-from opnav_workbench.cli import app, nightly
+from opnav_workbench.campaign import archive as campaign_archive
+from opnav_workbench.campaign.run_folder import read_run
+from opnav_workbench.cli import app, nightly, terminal
 from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
+from opnav_workbench.files import fitting_name
 from opnav_workbench.headless import night as night_module
 from opnav_workbench.headless.night import plan_night
 from opnav_workbench.headless.night_spec import NightSpec
 from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_workers import NotebookOutcome
 from opnav_workbench.headless.notebook_run import for_papermill
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.kernels.files import kernel_file
@@ -218,6 +223,53 @@ def test_names_that_mean_something_elsewhere_are_names(images, out):
     write_night_summary(night(images, out))
     assert set(states(images, out).values()) == {"done"}
     assert for_papermill("p{image}.ipynb").format(image="/elsewhere") == "p{image}.ipynb"
+
+
+def test_names_as_long_as_a_file_system_takes_them_are_names(images, out, tmp_path):
+    """Working folders, folders named after two, and escapes would be longer."""
+    long, escaped = "x" * 251, "\x1b" * 100
+    for folder in ("one" * 20, "two" * 20):
+        (tmp_path / folder).mkdir()
+        for name in (long, "é" * 125, escaped):
+            (tmp_path / folder / f"{name}.fit").write_text(folder + name)
+    seen = tmp_path / "*" / "*.fit"
+
+    class Pool(StubPool):
+        def run(self, jobs):
+            names = [fitting_name(job.name, "-working") for job in jobs]
+            assert len({*names}) == len(jobs)
+            for job, name in zip(jobs, names, strict=True):
+                folder = Path(job.folder) / name
+                folder.mkdir(parents=True)
+                result_of(job, folder)
+                yield NotebookOutcome(job.name, str(folder), "", "", 1.0, 10.0)
+
+    write_night_summary(night(seen, out, Pool()))
+    known = states(seen, out)
+    assert len(known) == 7
+    assert set(known.values()) == {"done"}
+
+
+def test_a_picture_that_is_done_is_not_read_again_for_the_archive(images, out, monkeypatch):
+    """Reading 7,000 of them took a night twenty seconds."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    read: list[str] = []
+    monkeypatch.setattr(
+        campaign_archive, "read_run", lambda place: read.append(place.name) or read_run(place)
+    )
+    night(images, out)
+    assert read == []
+    (out / "b" / "result.json").unlink()
+    night(images, out)
+    assert read == ["b"]
+    # An archive that is made anew takes all in, and knows them from then on.
+    (out / "campaign.sqlite").write_bytes(b"damaged")
+    night(images, out)
+    assert set(read) == {"a", "b"}
+    read.clear()
+    night(images, out)
+    assert read == []
 
 
 def test_an_archive_that_another_program_holds_delays_a_night_once(images, out, monkeypatch):
@@ -452,12 +504,26 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
 
 
-def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost():
-    """Python swallows what is raised there: one in eight nights of a storm went on, deaf to any other signal."""
+class Dying:
+    """Its end comes while garbage is collected: Python swallows what is raised there."""
 
-    class Dying:
-        def __del__(self):
-            os.kill(os.getpid(), signal.SIGTERM)
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost(monkeypatch):
+    """One in eight nights of a storm went on, deaf to any other signal.
+
+    The first reminder is lost here, as one is that comes when the main thread is about to wait, and does not yet.
+    """
+    told = []
+
+    def tell(number):
+        told.append(number)
+        if len(told) > 1:
+            signal.pthread_kill(threading.main_thread().ident, number)
+
+    monkeypatch.setattr(terminal, "_tell_main_thread", tell)
 
     def work() -> None:
         with ended_by_signals():
@@ -469,6 +535,30 @@ def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost():
         work()
     assert stop.value.status == 128 + signal.SIGTERM
     assert time.monotonic() - began < 10.0
+    assert len(told) > 1
+
+
+def test_a_signal_that_was_swallowed_ends_what_is_done_before_it_comes_again(monkeypatch):
+    """A watch's night has no right to keep it: the block around it is told; what is being written down is not."""
+    monkeypatch.setattr(terminal, "AGAIN_S", 60.0)
+    before = signal.getsignal(signal.SIGTERM)
+    went_on = []
+
+    def watch(passing: bool) -> None:
+        with ended_by_signals():
+            with ended_by_signals() as pass_over:
+                Dying()
+                if passing:
+                    pass_over()
+            went_on.append(passing)
+
+    began = time.monotonic()
+    with pytest.raises(Terminated):
+        watch(passing=False)
+    watch(passing=True)
+    assert went_on == [True]
+    assert time.monotonic() - began < 10.0
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """A night's folder made smaller: what can be made again goes by age, and nothing that is anybody's."""
 
 import fcntl
+import json
 import os
 import re
 import shutil
@@ -13,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
+from opnav_workbench.headless.night_summary import forget_missing_files, write_night_summary
 from opnav_workbench.headless.pruning import Retention, prune, superfluous
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -35,7 +37,7 @@ def out(tmp_path):
     images.mkdir()
     for name in ("plain", "doubtful", "decided", "opened", "edited"):
         (images / f"{name}.fit").write_text(name)
-    night(images, out, StubPool(with_files))
+    write_night_summary(night(images, out, StubPool(with_files)))
     analyst = Analyst(out / "decided")
     analyst.decide("cosmic ray")
     analyst.leave()
@@ -78,6 +80,27 @@ def test_what_can_be_made_again_goes_and_nothing_else(out):
     assert not (out / ".attic" / "plain").exists()
     # What was made smaller is done all the same.
     assert states(out.parent / "in", out)["plain"] == "done"
+
+
+def test_the_pages_link_to_nothing_that_has_gone(out):
+    stale = json.loads((out / "summary.json").read_text())
+    page = out / "summary.html"
+    assert "plain/notebook.ipynb" in page.read_text()
+    gone = prune(out, Retention(notebooks=9.0, figures=9.0))
+    assert {"notebook", "figure"} == {item.kind for item in gone}
+    for link in re.findall(r'(?:href|src)="([^"#:]+)"', page.read_text()):
+        assert (out / link).exists(), link
+    assert "edited/notebook.ipynb" in page.read_text()
+    now = {
+        row.pop("name"): row.pop("files") for row in json.loads((out / "summary.json").read_text())["images"]
+    }
+    assert now["plain"] == ["result.json"]
+    assert "notebook.ipynb" in now["doubtful"]
+    # One of another version is the next night's to write; a damaged one is no reason to stop.
+    (out / "summary.json").write_text(json.dumps(stale | {"version": "0.0"}))
+    assert not forget_missing_files(out)
+    (out / "summary.json").write_text('{"images": [1]}')
+    assert not forget_missing_files(out)
 
 
 def test_command_tells_first(out):
