@@ -16,10 +16,10 @@ pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 LIMB_PX = 1.0
 MEASURED = {
     "N1572105349": 1.5,  # measured: 0.2 px, and a sigma of 0.3
-    "N1519300016": 0.6,  # 0.2
+    "N1519300016": 1.0,  # 0.5
     "N1633925572": 1.5,  # 0.8: a crescent of 122 px, most of it saturated
-    "W1637520502": 1.5,  # 0.5, and a sigma of 1.4: 864 px wide
-    "N1484593951": 12.0,  # 8.9, and a sigma of 10: 1584 px wide, a quarter of its limb in the frame
+    "W1637520502": 1.5,  # 0.3, and a sigma of 1.2: 864 px wide
+    "N1484593951": 15.0,  # 11.4, and sigmas of 9 and 8: 1584 px wide, a quarter of its limb in the frame
 }
 
 

@@ -402,6 +402,7 @@ class _DiskProblem:
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
+        self.in_sky = self.edges[:-1] > self.psf_px
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
@@ -626,14 +627,17 @@ class _Fitter:
         self._solve_at(*self._columns())
 
     def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
-        """Solve, with cells that no model reaches counting as much as their residuals say (Huber's weights).
+        """Solve, with cells of sky that no model reaches counting as much as their residuals say (Huber's weights).
 
-        What is no limb stays where it is while the outline and its cells move: each solution has to find it anew.
+        What shines there stays where it is while the outline and its cells move: each solution has to find it anew. Beside
+        that nothing changes from one solution to the next: a step that explains a surface is not to be told from one that
+        doubts it.
         """
         for _ in range(MOST_DOUBTS):
             system = self._system(near, columns)
             self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
-            before, self.doubt = self.doubt, self._doubts(self.linear)
+            before, found = self.doubt, self._doubts(self.linear)
+            self.doubt = np.where(self.problem.in_sky, found, before)
             if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
                 break
 
@@ -699,8 +703,9 @@ class _Fitter:
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
 
     def _doubt(self) -> None:
-        """Let patchy cells count less."""
+        """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
         linear = self.linear
+        self.doubt = self._doubts(linear)
         self.patchy = self._patchiness(linear.samples, linear.columns)
         self._solve_at(linear.samples, linear.columns)
 
