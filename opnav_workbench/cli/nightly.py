@@ -28,14 +28,10 @@ from opnav_workbench.cli.processing_options import processing_of, processing_opt
 from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, named_progress, shown
 from opnav_workbench.errors import SessionError
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
+from opnav_workbench.headless.night_pages import SUMMARY_FILE, SUMMARY_PAGE
 from opnav_workbench.headless.night_psf import MAX_PICTURES, learn_night_psf
 from opnav_workbench.headless.night_spec import NightSpec, load_night
-from opnav_workbench.headless.night_summary import (
-    SUMMARY_FILE,
-    SUMMARY_PAGE,
-    night_summary_dict,
-    write_night_summary,
-)
+from opnav_workbench.headless.night_summary import night_summary_dict, write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.image.picture_files import NoPictures

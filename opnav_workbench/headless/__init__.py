@@ -33,6 +33,8 @@ is said and done in ``processing``.
     A process that has loaded everything, and copies itself for every picture.
 ``warm_engine``
     papermill's engine for such a copy: cells executed in the process itself.
+``night_pages``
+    Its summary as it is written, and the pages for the analyst.
 ``night_summary``
     The morning's summary, page and queue.
 ``night_trends``

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from opnav_workbench import report
 from opnav_workbench.campaign.run_folder import attention_reasons
-from opnav_workbench.files import inside, json_value, text_of, write_json, write_text
+from opnav_workbench.files import inside, json_value, text_of
 from opnav_workbench.headless.night import Night, NightPicture
+from opnav_workbench.headless.night_pages import write_pages
 from opnav_workbench.headless.night_trends import write_night_trends
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.headless.records import NightRecord, read_record
@@ -17,15 +17,8 @@ from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, wri
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = [
-    "SUMMARY_FILE",
-    "SUMMARY_PAGE",
-    "forget_missing_files",
-    "night_summary_dict",
-    "write_night_summary",
-]
+__all__ = ["night_summary_dict", "write_night_summary"]
 
-SUMMARY_FILE, SUMMARY_PAGE = "summary.json", "summary.html"
 FIGURE_FILE = "summary.png"
 POINTING_KEYS = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
 BODY_KEYS = (
@@ -50,7 +43,7 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     """
     out, spec = night.plan.out, night.plan.spec
     summary = night_summary_dict(night) | {"trends": write_night_trends(night.archive, out)}
-    _write_pages(summary, out)
+    write_pages(summary, out)
     waiting = tuple(
         QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
         for row in summary["images"]
@@ -58,43 +51,6 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     )
     write_queue(out, AnalystQueue(waiting, spec.plain))
     return summary
-
-
-def _write_pages(summary: Mapping[str, Any], out: Path) -> None:
-    write_json(out / SUMMARY_FILE, summary)
-    pages = report.night_pages(summary, out)
-    for name, page in pages.items():
-        write_text(out / name, page)
-    for left in out.glob("summary-*.html"):  # of a night of more pictures
-        if left.name not in pages:
-            left.unlink(missing_ok=True)
-
-
-def forget_missing_files(out: Path) -> bool:
-    """Write a night's summary and pages anew without the files that have gone since; they link to nothing that is not there.
-
-    Returns
-    -------
-    bool
-        Whether that was done: not where there is no summary, or one of another version, which the next night writes anew.
-
-    Raises
-    ------
-    SessionError
-        The folder cannot be written.
-    """
-    try:
-        written = text_of(out / SUMMARY_FILE)
-        summary: dict[str, Any] = json_value(written)
-        for row in summary["images"]:
-            folder = inside(out, row["name"])
-            row["files"] = [name for name in row["files"] if (folder / name).is_file()]
-        if summary["version"] != __version__ or text_of(out / SUMMARY_FILE) != written:
-            return False
-    except (OSError, ValueError, KeyError, TypeError):
-        return False
-    _write_pages(summary, out)
-    return True
 
 
 def night_summary_dict(night: Night) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from opnav_workbench.constants import DAY_S
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import sha256_of
-from opnav_workbench.headless.night_summary import forget_missing_files
+from opnav_workbench.headless.night_pages import forget_missing_files
 from opnav_workbench.headless.records import RECORD_FILE, is_of_an_analyst, read_record, session_digest
 from opnav_workbench.paths import is_folder
 from opnav_workbench.session.folder_lock import FolderLock, check_unlocked

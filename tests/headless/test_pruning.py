@@ -14,7 +14,8 @@ import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
-from opnav_workbench.headless.night_summary import forget_missing_files, write_night_summary
+from opnav_workbench.headless.night_pages import forget_missing_files
+from opnav_workbench.headless.night_summary import write_night_summary
 from opnav_workbench.headless.pruning import Retention, prune, superfluous
 
 sys.path.insert(0, str(Path(__file__).parent))
