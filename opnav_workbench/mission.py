@@ -96,15 +96,19 @@ class Readout(StrictModel):
             readout["line_time_s"] = _seconds(header, self.line_time) * self.line_time_scale
         return readout
 
-    def check_place(self, header: Mapping[str, Any], camera: Camera) -> None:
+    def check_place(self, header: Mapping[str, Any], camera: Camera, told: Mapping[str, Any]) -> None:
         """Refuse a window whose place on the detector the header does not tell, where the mission file names words for it.
+
+        Parameters
+        ----------
+        told
+            What `told` returns of the header.
 
         Raises
         ------
         CameraError
             So it is.
         """
-        told = self.told(header)
         size = told["size"] or (None, None)
         for axis, word in enumerate((self.first_pixel, self.first_line)):
             detector = (camera.n_pixel, camera.n_line)[axis] // max(told["binning"][axis], 1)
@@ -400,9 +404,11 @@ class Mission:
         """
         choice = self._choice_for(header)
         camera = Camera.from_yaml(choice.file)
-        read = _read_out(camera, self.readout_told(header))
-        if choice.readout is not None:
-            choice.readout.check_place(header, camera)
+        if choice.readout is None:
+            return camera
+        told = choice.readout.told(header)
+        read = _read_out(camera, told)
+        choice.readout.check_place(header, camera, told)
         return read
 
     def readout_told(self, header: Mapping[str, Any]) -> dict[str, Any] | None:

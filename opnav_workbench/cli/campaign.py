@@ -54,7 +54,7 @@ from opnav_workbench.campaign.stacking import (
 from opnav_workbench.cli.campaign_prune import prune_night
 from opnav_workbench.cli.campaign_serve import serve
 from opnav_workbench.cli.terminal import EXIT_PARTLY, named_progress, shown
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import SessionError, counted
 from opnav_workbench.files import json_text, plain_cell, write_text
 from opnav_workbench.kernels import KernelSet
 
@@ -72,17 +72,17 @@ STATUS_STYLES = {
     "uncertain": "yellow",
     "failed": "bold red",
 }
-# One and several rows of an answer, as people call them.
-ROW_WORDS = {
-    "images": ("picture", "pictures"),
-    "pointings": ("pointing", "pointings"),
-    "bodies": ("target", "targets"),
-    "stars": ("star", "stars"),
-    "differences": ("difference", "differences"),
-    "decisions": ("decision", "decisions"),
-    "journal": ("step", "steps"),
-    "provenance": ("picture", "pictures"),
-    "history": ("older answer", "older answers"),
+# A row of an answer, as people call it.
+ROW_NOUNS = {
+    "images": "picture",
+    "pointings": "pointing",
+    "bodies": "target",
+    "stars": "star",
+    "differences": "difference",
+    "decisions": "decision",
+    "journal": "step",
+    "provenance": "picture",
+    "history": "older answer",
 }
 # What a terminal has room for: heading, column, format.
 SHOWN_COLUMNS: dict[str, tuple[tuple[str, str, str], ...]] = {
@@ -216,7 +216,7 @@ def print_answer(what: str, table: Table, format_: str, out: Path | None) -> Non
     else:
         write_text(out, text)
         console = Console(soft_wrap=True)
-        console.print(f"{_counted(len(table), what)} in {shown(str(out))}", highlight=False)
+        console.print(f"{_rows_told(len(table), what)} in {shown(str(out))}", highlight=False)
 
 
 def print_outliers(console: Console, found: Trends) -> None:
@@ -228,14 +228,15 @@ def print_outliers(console: Console, found: Trends) -> None:
         )
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count or 'no'} {ROW_WORDS[what][count != 1]}"
+def _rows_told(count: int, what: str) -> str:
+    noun = ROW_NOUNS[what]
+    return counted(count, noun) if count else f"no {noun}s"
 
 
 def _print_table(what: str, table: Table) -> None:
     console = Console(soft_wrap=False)
     if len(table) == 0:  # headings alone say nothing
-        console.print(_counted(0, what), highlight=False)
+        console.print(_rows_told(0, what), highlight=False)
         return
     shown = SHOWN_COLUMNS[what]
     printed = Printed(box=None, header_style="bold", pad_edge=False)
@@ -250,7 +251,7 @@ def _print_table(what: str, table: Table) -> None:
     for row in _rows(table):
         printed.add_row(*[_cell(row[name], form) for _, name, form in shown])
     console.print(printed)
-    console.print(_counted(len(table), what), highlight=False)
+    console.print(_rows_told(len(table), what), highlight=False)
 
 
 def _cell(value: Any, form: str) -> str:

@@ -266,8 +266,7 @@ class _Maker:
         exposure_s = abs(rows.line_time_s) if rows is not None and rows.scans else 1.0
         place = Place(FIRST_UTC, exposure_s, FIRST_POSITION_KM, np.array([-10.0, 25.0, 5.0]))
         pictures = write_scenario(self.wanted.folder, self.craft, STEM, camera, place, self.wanted.catalog)
-        made = self.simulated(pictures)
-        files, cautions = made
+        files, cautions = self.simulated(pictures)
         return NewMission(
             self.wanted.folder, camera, camera.origins, told, False, "", pictures, files, cautions=cautions
         )
@@ -304,8 +303,7 @@ class _Maker:
         pictures = write_scenario(aside, self.craft, STEM, camera, place, self.wanted.catalog)
         origins = (*camera.origins, *_header_origins(words, found, keywords))
         mirrored = found is not None and found.mirrored
-        made = self.simulated(pictures)
-        files, cautions = made
+        files, cautions = self.simulated(pictures)
         return NewMission(
             self.wanted.folder, camera, origins, told, mirrored, solved, pictures, files, cautions=cautions
         )

@@ -55,7 +55,7 @@ class NightArchive:
             campaign.close()
             return self._made_anew(error)
         except SessionError:  # each picture says it, and is read
-            self._known = {}
+            pass
         return campaign
 
     def _made_anew(self, error: OpNavError) -> Campaign:

@@ -251,9 +251,8 @@ def _wrong_velocity(
         return f"of {speed:.6g} km/s, faster than any spacecraft there (above {fastest:.0f} km/s)"
     if place_km is not None and times:
         forward = np.cross(ECLIPTIC_NORTH, place_km)
-        most = (
-            near * forward / np.linalg.norm(forward) if near and forward.any() else 0.0
-        )  # what a planet's well gives
+        # What a planet's well gives.
+        most = near * forward / np.linalg.norm(forward) if near and forward.any() else 0.0
         turning = np.cross(place_km, velocity_km_s + most)
         leaning = float(np.degrees(angle_between(turning, ECLIPTIC_NORTH))) if turning.any() else 0.0
         if leaning > STEEPEST_DEG:

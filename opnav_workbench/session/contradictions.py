@@ -63,6 +63,11 @@ ATTITUDE_SIGMAS = 5.0
 ABERRATION_RAD = 60.0 / SPEED_OF_LIGHT_KM_S  # of a spacecraft at Mercury, in one of two statements
 
 
+def _keywords(context: Context) -> KeywordMap:
+    """Return what the words of the picture's header mean: a sidecar has some of its own."""
+    return context.picture.keywords or KeywordMap(**context.mission.keywords)
+
+
 # ---- Time: ET, UTC, clock, and where the spacecraft was then.
 
 
@@ -86,7 +91,7 @@ def settled_time(context: Context, et: float) -> SettledTime:
         As the header has it, TDB s past J2000.
     """
     picture = context.picture
-    keywords = picture.keywords or KeywordMap(**context.mission.keywords)  # a sidecar has words of its own
+    keywords = _keywords(context)
     found = _against_facts(context, keywords, et)
     if picture.rival_et is None:
         return SettledTime(et, picture.utc or "", tuple(filter(None, found.values())))
@@ -198,8 +203,7 @@ def _against_trajectory(context: Context, keywords: KeywordMap, et: float) -> st
 
 def exposure_contradiction(context: Context) -> tuple[str, ...]:
     """Return what a frame camera's begin and end say against its exposure; nothing of scans and framelets."""
-    picture = context.picture
-    keywords = picture.keywords or KeywordMap(**context.mission.keywords)
+    picture, keywords = context.picture, _keywords(context)
     span = stated_span(picture.header, keywords)
     if span is None or keywords.exposure_s is None or context.camera.rows is not None:
         return ()
@@ -288,7 +292,7 @@ def _apart(camera: Camera, attitude: FloatArray, stated_rad: FloatArray) -> str:
 
 
 def _words(context: Context, *names: str) -> str:
-    keywords = context.picture.keywords or KeywordMap(**context.mission.keywords)
+    keywords = _keywords(context)
     return ", ".join(word for name in names for word in keywords.words(name))
 
 

@@ -38,10 +38,8 @@ _RANGE = re.compile(r"(\d+)(?:\s*-\s*(\d+))?")
 # Share of a scan's length that is left out in the picture, so that the body stays in sight.
 SHOWN_FROM = {"focus": 0.0, "used": 0.6, "rejected": 0.6, "unused": 0.9}
 FEWEST_NUMBERS, MOST_NUMBERS = 4, 12  # scans that have their number in the picture
-BEYOND, LEVEL = (
-    0.1,
-    0.35,
-)  # numbers: shares of a scan beyond its end; of its length across, below which they are centered
+# Numbers: shares of a scan beyond its end; of its length across, below which they are centered.
+BEYOND, LEVEL = 0.1, 0.35
 NUMBER_SHARE = 0.11  # of the picture's longer side, that a number takes along the circle of the scans' ends
 CLICK_PX = 6.0  # a click so near to a scan, on screen-sized pictures, means it
 

@@ -170,10 +170,8 @@ LABEL_BELOW_PX = 16.0  # screen px
 # Screen px to the left lower corner of a body's name, from its limb below and above, or from the mark of a point; and to
 # that of a pole's letter, whose middle is at the pole then.
 BELOW_PX, ABOVE_PX, BESIDE_PX, POLE_PX = (-8.0, 18.0), (-8.0, -5.0), (12.0, 5.0), (-4.0, 5.0)
-ABOVE_RIGHT_PX, MIDDLE_PX = (
-    4.0,
-    4.0,
-)  # of tools' texts: beside their place, or with their middle at its height
+# Of tools' texts: beside their place, or with their middle at its height.
+ABOVE_RIGHT_PX, MIDDLE_PX = 4.0, 4.0
 
 
 def layer_columns(layers: Iterable[Layer], theme: Theme) -> tuple[Columns, Columns]:

@@ -94,10 +94,8 @@ MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
 SURE_SIGMAS = 1.0  # of the PSF, inward of the limb: there pixels show the albedo beside it
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
-MOST_DOUBTS, SAME_DOUBT = (
-    4,
-    0.5,
-)  # solutions with weights by the last one; and weights alike, in the logarithm
+# Solutions with weights by the last one; and weights alike, in the logarithm.
+MOST_DOUBTS, SAME_DOUBT = 4, 0.5
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
 LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
