@@ -531,6 +531,15 @@ def _spread(places: Sequence[FloatArray], about: FloatArray) -> FloatArray:
     return np.asarray(away.T @ away / len(away))
 
 
+class _Cells(NamedTuple):
+    """Variance, that by the light of the data (`LimbSystem.seen_variance`), data and columns of cells (j, c)."""
+
+    variance: FloatArray
+    seen_variance: FloatArray
+    data: FloatArray
+    columns: FloatArray
+
+
 class _LinearDisk(NamedTuple):
     """A disk linearized about a shape: its system, samples with their columns as in `DiskFit`, and the solution."""
 
@@ -910,25 +919,30 @@ class _Fitter:
         )
         return near, columns
 
-    def _cells(self, near: LimbSamples, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return variance, data and columns of the cells (j, c)."""
+    def _cells(self, near: LimbSamples, columns: FloatArray) -> _Cells:
+        """Return the cells (j, c) of the samples."""
         problem = self.problem
-        light = np.maximum(self.brightness * columns[Unknown.BRIGHTNESS], 0.0)
-        weight = 1.0 / (near.variance_dn2 + light / (problem.pixels.gain_e_per_dn * near.side**2))
+        model = self.brightness * columns[Unknown.BRIGHTNESS]
+        weight, seen = (
+            1.0 / (near.variance_dn2 + np.maximum(light, 0.0) / (problem.pixels.gain_e_per_dn * near.side**2))
+            for light in (model, near.data_dn)
+        )
         cell = cell_of(near.places, problem.pieces, problem.edges)
-        both = np.concatenate([columns, weight[None], columns[:1] ** 2])
+        both = np.concatenate([columns, weight[None], columns[:1] ** 2, (seen / weight)[None]])
         whole, data, means = gathered(cell, weight, near.data_dn, both, problem.pieces, problem.edges)
         usable = whole > 0.0
-        share = means[-2] / np.where(usable, whole, 1.0)  # of a pixel in its cell
-        uneven = np.maximum(means[-1] - means[0] ** 2, 0.0) * share
+        whole = np.where(usable, whole, 1.0)
+        share = means[-3] / whole  # of a pixel in its cell
+        uneven = np.maximum(means[-2] - means[0] ** 2, 0.0) * share
         patches = self.brightness**2 * self.patchy[:, None] * uneven
-        variance = np.where(usable, self.doubt / np.where(usable, whole, 1.0) + patches, np.inf)
-        return variance, data, means[:-2]
+        variance = np.where(usable, self.doubt / whole + patches, np.inf)
+        seen_variance = 1.0 / np.where(usable, means[-1] * whole, 1.0)
+        return _Cells(variance, seen_variance, data, means[:-3])
 
     def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:
         """Return the linear system of the cells: what the present shape has of theta stands on the side of the data."""
         problem, shape, made = self.problem, self.shape, self.made
-        variance, data, means = self._cells(near, columns)
+        variance, seen_variance, data, means = self._cells(near, columns)
         lit = self.brightness * self.piece_albedo[:, None]
         means = columns_dn(means, self.brightness, lit)
         shaded, parts = means[SHADED], means[ALBEDO]
@@ -947,6 +961,7 @@ class _Fitter:
         return LimbSystem(
             data=data,
             variance=variance,
+            seen_variance=seen_variance,
             light=np.where(usable, np.maximum(np.maximum(light, means[RELIEF]), 0.0), 0.0),
             shared=means[:SHARED],
             own=np.concatenate([parts, means[SHARED : SHARED + 1]]),

@@ -66,7 +66,7 @@ class MarginalSolution:
     Attributes
     ----------
     log_likelihood
-        Marginal over everything.
+        Marginal over everything, relative to the noise of the cells.
     theta : (p,) array
     covariance : (p, p) array
     nodes : (j, q) array
@@ -76,8 +76,8 @@ class MarginalSolution:
     held_chi2
         The same with those of theta that were to be held, at the values given.
     held_cost
-        Minus twice the logarithm of the likelihood with what is held, but for a constant of the cells: which of two models
-        of the same cells is the likelier, however wide they take their own errors to be.
+        Minus twice the logarithm of the likelihood with what is held, relative to the noise of the cells: which of two models
+        is the likelier, however wide they take their own errors to be.
     share : (k,) array
         Of each of the scales that theta may have.
     """
@@ -98,15 +98,15 @@ class MarginalSolution:
 class WeighedCells(NamedTuple):
     """Cells weighed by noise and `grain`: R (j, q, q) with R^T R = N^T W N, N^T W [X, y] and [X, y]^T W [X, y].
 
-    `log_weights` is the sum of the logarithms of the weights, `grain_width` that of how much the grain widens each cell.
+    `log_weights` is the sum of the logarithms of the weights, relative to those that the noise of the data alone would give.
     """
 
     grain: float
     root: FloatArray
     cross: FloatArray
     plain: FloatArray
+    count: int
     log_weights: float
-    grain_width: float
 
 
 class _MarginalEquations(NamedTuple):
@@ -124,8 +124,12 @@ class _MarginalEquations(NamedTuple):
     def field_width(self) -> float:
         return 2.0 * float(np.log(np.diag(self.factor)).sum())
 
+    def width(self, cells: WeighedCells) -> float:
+        """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
+        return self.field_width - cells.log_weights - cells.count
+
     def log_likelihood(self, cells: WeighedCells) -> float:
-        return self.mixed.log_evidence - 0.5 * (self.whole + (self.field_width - cells.log_weights))
+        return self.mixed.log_evidence - 0.5 * (self.whole + self.width(cells))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +140,9 @@ class LimbSystem:
     ----------
     data, variance : (j, c) arrays
         Infinite variance without pixels.
+    seen_variance : (j, c) array
+        Of noise as the data, not the model, have it. Likelihoods are relative to it and to a chi-squared of one a cell, so that
+        outlines with other pixels in their strips, and other cells, compare.
     light : (j, c) array
         What `FieldPrior.grain` is relative to, DN: the light of slopes that face the Sun.
     shared : (p, j, c) array
@@ -159,6 +166,7 @@ class LimbSystem:
 
     data: FloatArray
     variance: FloatArray
+    seen_variance: FloatArray
     light: FloatArray
     shared: FloatArray
     own: FloatArray
@@ -211,8 +219,8 @@ class LimbSystem:
         cross = np.matmul(np.swapaxes(own, 1, 2), weighted).reshape(j * q, p + 1)
         plain = weighted.reshape(-1, p + 1).T @ columns.reshape(-1, p + 1)
         used = weight > 0.0
-        width = float(np.log1p((grain * self.light[used]) ** 2 / self.variance[used]).sum())
-        return WeighedCells(grain, _roots(inner), cross, plain, float(np.log(weight[used]).sum()), width)
+        log_weights = float(np.log(weight[used] * self.seen_variance[used]).sum())
+        return WeighedCells(grain, _roots(inner), cross, plain, int(np.count_nonzero(used)), log_weights)
 
     def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
         """Return the normal equations of what is shared, marginal over the field."""
@@ -282,7 +290,7 @@ class LimbSystem:
             nodes.reshape(len(cells.root), -1),
             chi2,
             held_chi2,
-            held_cost + equations.field_width + cells.grain_width,
+            held_cost + equations.width(cells),
             mixed.share,
         )
 
