@@ -574,8 +574,8 @@ def crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
     slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
     u = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     across = np.stack([-u[:, 1], u[:, 0]], axis=-1)
-    wave = limb[:, None] * np.stack([np.ones_like(limb), np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=-1)
-    return np.concatenate([u - slope[:, None] * across, wave], axis=1)
+    grown = limb * np.stack([np.ones_like(limb), *Outline.waves(angle, slope)])
+    return np.concatenate([u - slope[:, None] * across, grown.T], axis=1)
 
 
 def _scatter(residual: FloatArray) -> float:

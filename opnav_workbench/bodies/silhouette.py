@@ -61,16 +61,29 @@ class Outline:
         return np.asarray(self.center_px + self.radius(angle_rad)[:, None] * wheel)
 
     def strained(self, log_size: float, strain: FloatArray, height_px: FloatArray | float = 0.0) -> "Outline":
-        """Return it larger, its radius changed by `strain` (2,) times cos 2a and sin 2a, then by heights (n,)."""
-        wave = strain[0] * np.cos(2.0 * self.angle_rad) + strain[1] * np.sin(2.0 * self.angle_rad)
-        radius = self.radius_px * np.exp(log_size) * (1.0 + wave) + height_px
-        return Outline(self.center_px, self.angle_rad, radius)
+        """Return it larger, then under `strain` (2,): xx = -yy and xy, to first order; then its radius larger by heights (n,)."""
+        grown = np.exp(log_size) * (1.0 + strain @ self.waves(self.angle_rad, self.slant))
+        return Outline(self.center_px, self.angle_rad, self.radius_px * grown + height_px)
+
+    @staticmethod
+    def waves(angle_rad: FloatArray, slant: FloatArray | float) -> FloatArray:
+        """Return by how much of itself the radius grows (2, n) with each strain; `slant` (n,): its slope over itself.
+
+        Of a circle cos 2a and sin 2a. A strain moves points along the outline, too.
+        """
+        cos, sin = np.cos(2.0 * angle_rad), np.sin(2.0 * angle_rad)
+        return np.stack([cos + slant * sin, sin - slant * cos])
 
     @property
     def slope_px(self) -> FloatArray:
         """Change of the radius with the angle (n,), px/rad."""
         step = TURN / len(self.angle_rad)
         return np.asarray((np.roll(self.radius_px, -1) - np.roll(self.radius_px, 1)) / (2.0 * step))
+
+    @property
+    def slant(self) -> FloatArray:
+        """Slope over radius (n,), 1/rad."""
+        return np.asarray(self.slope_px / self.radius_px)
 
     @property
     def diameter_px(self) -> float:

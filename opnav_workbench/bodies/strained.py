@@ -1,4 +1,7 @@
-"""A body with another figure than its model: strained by a symmetric matrix, as a picture can tell it.
+"""A body with another figure than its model: strained by a matrix, as a picture can tell it.
+
+The outline of an ellipsoid is what the strains of x and y make of it, whatever the others are: those move its points along
+the line of sight. Every ellipsoid is one of them.
 
 Frame  x along pixel, y along line, z toward the camera
 Units  strains relative
@@ -14,16 +17,16 @@ from opnav_workbench.geometry import unit
 from opnav_workbench.render import AlbedoMap, BodyModel
 from opnav_workbench.scene import picture_axes
 
-__all__ = ["STRAINS", "can_be_strained", "strain_axes", "strained_picture"]
+__all__ = ["STRAINS", "can_be_strained", "strain_axes", "strain_matrix", "strained_picture"]
 
-# The last five planes of `opnav_workbench.bodies.disk.limb_light`.
+# The last five planes of `opnav_workbench.bodies.disk.limb_light`; of a sphere as symmetric strains xx = -yy, xy, zz, xz, yz.
 STRAINS = np.array(
     [
         [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]],
         [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
         [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
-        [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]],
-        [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 2.0, 0.0]],
     ]
 )
 
@@ -38,17 +41,22 @@ def strained_picture(picture: BodyPicture, name: str, strain: FloatArray) -> Bod
     model = picture.model(name)
     if not can_be_strained(model) or not np.any(strain):
         return picture
-    other = _strained_model(picture, model, np.tensordot(strain, STRAINS, axes=1))
+    other = _strained_model(picture, model, strain_matrix(strain))
     return replace(picture, models=tuple(other if m is model else m for m in picture.models))
 
 
+def strain_matrix(strain: FloatArray) -> FloatArray:
+    """Return what (5,) shares of `STRAINS` make of the body's points: (3, 3)."""
+    return np.asarray(np.eye(3) + np.tensordot(strain, STRAINS, axes=1))
+
+
 def _strained_model(picture: BodyPicture, model: BodyModel, strain: FloatArray) -> BodyModel:
-    """Return an ellipsoid under a strain (3, 3): its axes are those of the product of both."""
+    """Return an ellipsoid whose points a matrix (3, 3) has moved: its axes are those of the product of both."""
     target = model.target
     assert target.radii_km is not None
     turn = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000
     axes = strain_axes(picture, picture.center_px(model.target.name))
-    whole = (np.eye(3) + axes.T @ strain @ axes) @ turn.T * np.asarray(target.radii_km)
+    whole = (axes.T @ strain @ axes) @ turn.T * np.asarray(target.radii_km)
     square, vectors = np.linalg.eigh(whole @ whole.T)
     vectors = vectors * np.sign(np.linalg.det(vectors))
     figure = replace(target, radii_km=np.sqrt(square), body_from_j2000=np.ascontiguousarray(vectors.T))

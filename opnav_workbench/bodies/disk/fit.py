@@ -65,7 +65,9 @@ UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
 MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
 LAW_BOUNDS = np.array([[-0.1, -0.6], [1.5, 0.6]])  # of the whole share, and of the power
 WING_SIGMA = 0.15
-MOST_TURNS, MOST_FINE = 12, 2  # turns with one prior and light; times that the fine light is tabulated
+# Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned. Nothing but the
+# tables tells how light changes with a power: along the valley of a law they have to follow.
+MOST_TURNS, MOST_FINE, MOST_TUNED = 12, 8, 2
 MOST_HALVINGS = 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
@@ -187,17 +189,23 @@ class DiskShape:
 class TabulatedDisk:
     """Tables of light, the shape they were made with, and the silhouette of the body under its strain, `strain` (5,).
 
-    `lit` (j,) says which pieces of limb the light shows.
+    `slant` (n,) is `Outline.slant` there; `lit` (j,) says which pieces of limb the light shows.
     """
 
     shape: DiskShape
     strain: FloatArray
     silhouette: Silhouette
+    slant: FloatArray
     light: LimbLight
     lit: BoolArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def slant_at(self, angle_rad: FloatArray) -> FloatArray:
+        """Return the outline's slope over its radius, without the heights of its pieces, at angles (m,)."""
+        n = len(self.slant)
+        return np.asarray(self.slant[np.mod(np.round((angle_rad + np.pi) * (n / TURN)), n).astype(np.int64)])
 
     def outline(self, shape: DiskShape, *, rough: bool = True) -> Outline:
         """Return the outline of a shape near the tabulated one, with the heights of its pieces or without."""
@@ -350,18 +358,20 @@ def _columns_at(
     on_slopes: bool,
 ) -> FloatArray:
     """Return `DiskFit.columns`; of light that is a mean over depths with `spread_px` (n,) as their sigma."""
-    wave = 2.0 * near.angle_rad
-    # Within the limb the light keeps its share of the radius, outside its distance.
-    inside = np.minimum(near.depth_px, 0.0)
-    strain = shape.strain[:2] - made.strain[:2]
-    grown = shape.log_size - made.shape.log_size + strain[0] * np.cos(wave) + strain[1] * np.sin(wave)
-    depth = near.depth_px + inside * np.expm1(-grown)
-    tables = made.light.over(near.angle_rad, depth, spread_px)
+    waves = Outline.waves(near.angle_rad, made.slant_at(near.angle_rad))
+    strain = (shape.strain[:2] - made.strain[:2]) @ waves
+    grown = shape.log_size - made.shape.log_size + strain
+    tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
     m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
-    size = -slope * (near.limb_px + inside)
+    # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a
+    # strain G the light loses x G grad L + v div G grad L (p * (x S) = x L + v grad L for a Gaussian p).
+    reach = np.maximum(near.limb_px + near.depth_px, 1.0)
+    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([blur, blur - slope / reach])
+    size, in_plane = by_psf - slope * reach
+    m0 = m0 + grown * by_psf[0] + strain * (by_psf[1] - by_psf[0])
     away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
     columns = [
-        m0, *(slope * near.shift.T + turn * near.turn.T), size, size * np.cos(wave), size * np.sin(wave), law, law_2,
+        m0, *(slope * near.shift.T + turn * near.turn.T), size, *(in_plane * waves), law, law_2,
         *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
     ]  # fmt: skip
     hats = made.light.hats_of(tables, on_slopes=on_slopes)
@@ -451,10 +461,11 @@ class _DiskProblem:
         inward, outward = self.reach
         reach = (inward + 4.0, outward + 4.0)
         light = limb_light(
-            picture, self.name, outline, scale, reach, self.node_rad, shape.law, shape.blur_px2,
+            picture, self.name, outline, scale, reach, self.node_rad, shape.law, strain, shape.blur_px2,
             fine=fine, on_slopes=on_slopes,
         )  # fmt: skip
-        return TabulatedDisk(shape, strain, silhouette, light, self._lit(light))
+        slant = silhouette.at(shape.center_px).slant
+        return TabulatedDisk(shape, strain, silhouette, slant, light, self._lit(light))
 
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
@@ -587,10 +598,12 @@ class _Fitter:
         for steps in self.tuning:
             self._tune(steps, other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
-        for _ in range(MOST_FINE):
-            if not self.made.light.fine or self._stale(LAST):
-                self._tabulate(fine=True)
-            self._tune(LAST_TUNING)
+        for turn in range(MOST_FINE):
+            light = self.made.light
+            if (not light.fine or self._stale(LAST)) and not self._tabulate(fine=True) and light.fine:
+                break  # no other light explains more
+            if turn < MOST_TUNED:
+                self._tune(LAST_TUNING, other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
             if not self._stale(LAST):
                 break
@@ -797,7 +810,10 @@ class _Fitter:
                 law=then.law + share * (now.law - then.law),
                 blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
-            self.made = self.problem.tabulated(self.shape, fine=fine, on_slopes=self.prior.on_slopes)
+            both = fine and not self.made.light.fine  # which light the albedo is on is asked once more
+            self.made = self.problem.tabulated(
+                self.shape, fine=fine, on_slopes=None if both else self.prior.on_slopes
+            )
             self._solve()
             self._reweigh()
             likelihood = self.linear.solution.log_likelihood

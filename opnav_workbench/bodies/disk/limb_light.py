@@ -28,7 +28,7 @@ from scipy.ndimage import map_coordinates
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
-from opnav_workbench.bodies.strained import STRAINS, strain_axes
+from opnav_workbench.bodies.strained import STRAINS, strain_axes, strain_matrix
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
@@ -90,6 +90,8 @@ class LimbLight:
         Of the changes with the shares of the law, relative to the light: taken out of them, as they are brightness.
     on_slopes
         Which hats there are; None: both.
+    psf_variance_px2
+        Of the PSF over a pixel, along each axis.
     """
 
     first_px: float
@@ -99,6 +101,7 @@ class LimbLight:
     fine: bool
     law_means: FloatArray
     on_slopes: bool | None
+    psf_variance_px2: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -166,6 +169,7 @@ def limb_light(
     reach_px: tuple[float, float],
     node_rad: FloatArray,
     law: FloatArray,
+    strain: FloatArray,
     blur_px2: float = 0.0,
     *,
     fine: bool = False,
@@ -183,6 +187,8 @@ def limb_light(
         Arcs from the limb at which the albedo has nodes, from 0 upward.
     law : (2,) array
         Lommel-Seeliger's share beyond the body's own, `own_share`, and the power of mu0 mu.
+    strain : (5,) array
+        That the body in the picture has already, shares of `opnav_workbench.bodies.strained.STRAINS`.
     blur_px2
         Variance of the PSF along each axis, beyond its own.
     fine
@@ -202,7 +208,8 @@ def limb_light(
     small = radius < PLANE_RADIUS_PX[int(fine)]
     build = _spread_in_plane if small else _spread_along_rays
     hatted = _Hats(node_rad, (0, -1) if on_slopes is None else (-int(on_slopes),))
-    tables = build(picture, model, outline, angle, depth, hatted, law, blur_px2)
+    surface = _Surface(law, np.linalg.inv(strain_matrix(strain)))
+    tables = build(picture, model, outline, angle, depth, hatted, surface, blur_px2)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
     total = tables[0]
     law_means = tables[1:3].sum(axis=(1, 2)) / max(float(total.sum()), np.finfo(float).tiny)
@@ -215,7 +222,20 @@ def limb_light(
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
     kept = every.transpose(1, 2, 0).astype(np.float64)
-    return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes)
+    variance = psf_variance(picture.psf, blur_px2)
+    return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance)
+
+
+def psf_variance(psf: Psf, blur_px2: float) -> float:
+    """Return the variance along each axis, px^2, of a PSF over a pixel with more blur, or less."""
+    return max(float(np.max(psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
+
+
+class _Surface(NamedTuple):
+    """Law (2,) of a body's surface, and what takes back its strain (3, 3)."""
+
+    law: FloatArray
+    unstrained: FloatArray
 
 
 class _Hats(NamedTuple):
@@ -232,14 +252,14 @@ def _light_rows(
     within: FloatArray,
     rays: FloatArray,
     hatted: _Hats,
-    law: FloatArray,
+    surface: _Surface,
 ) -> FloatArray:
     """Return the light (1 + `LINEAR` + k or 2 k, n) along rays (3, n) at shares `within` (n,) of the limb's distance.
 
     All of it, its change with the law, and that of each hat, on each light that is asked for.
     """
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
-    changes = _light_changes(picture, body, center_px, rays, law)
+    changes = _light_changes(picture, body, center_px, rays, surface)
     parts = hats(within, hatted.node_rad)
     return np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
 
@@ -289,9 +309,10 @@ def _rim_nodes(depth_px: FloatArray, step_px: float) -> tuple[FloatArray, FloatA
 
 
 def _light_changes(
-    picture: BodyPicture, body: PlacedBody, center_px: FloatArray, rays: FloatArray, law: FloatArray
+    picture: BodyPicture, body: PlacedBody, center_px: FloatArray, rays: FloatArray, surface: _Surface
 ) -> FloatArray:
     """Return along rays (3, n) the light, and its changes with the shares of the law and the strains (1 + `LINEAR`, n)."""
+    law = surface.law
     met = body.surface.first_hits(body.to_body(rays))
     shine = body.radiance(rays)[met.ray]
     normal = met.normal
@@ -308,7 +329,7 @@ def _light_changes(
     value = _law_value(body, mu0, mu, law)
     by_mu0, by_mu = _slopes(body, mu0, mu, law, value)
     scale = np.where(lit, light / np.maximum(value, 1e-9), 0.0)
-    for lean in _leans(picture, body, center_px, met.point, normal):
+    for lean in _leans(picture, body, center_px, met.point, normal, surface.unstrained):
         change = by_mu0 * np.einsum("in,in->n", sun, lean) + by_mu * np.einsum("in,in->n", camera, lean)
         rows += [scale * change]
     even = float(np.sum(value, where=lit))
@@ -333,12 +354,19 @@ def _toward(place: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def _leans(
-    picture: BodyPicture, body: PlacedBody, center_px: FloatArray, point: FloatArray, normal: FloatArray
+    picture: BodyPicture,
+    body: PlacedBody,
+    center_px: FloatArray,
+    point: FloatArray,
+    normal: FloatArray,
+    unstrained: FloatArray,
 ) -> list[FloatArray]:
     """Return how the normals (3, n) that a ray meets change with each of `STRAINS`, body-fixed; none of plates.
 
-    Of the ellipsoid x^T Q x = 1 under a strain E: a ray that keeps its share of the outline's radius moves by d across, and
-    its point by dz along the line of sight, so that n (d + dz z) = n E x; and n' ~ Q (x + d + dz z) - (E Q + Q E) x.
+    Of the ellipsoid x^T Q x = 1, whose points go to x + G x: a ray that keeps its share of the outline's radius moves by d
+    across, and its point by dz along the line of sight, so that n (d + dz z) = n G x; and
+    n' ~ Q (x + d + dz z - G x) - G^T n. A body that F has strained is strained farther by G = E F^-1. The outline is
+    p^T M p = 1, with M^-1 the part of Q^-1 that lies across: its radius grows by p^T M G p of itself.
     """
     axes = strain_axes(picture, center_px) @ body.body_from_j2000.T
     if body.model.shape is not None:
@@ -346,15 +374,15 @@ def _leans(
     square = axes / np.asarray(body.model.target.radii_km) ** 2 @ axes.T
     x, n = axes @ point, axes @ normal
     n = n / np.einsum("in,in->n", n, x)  # Q x
-    turn = 2.0 * np.arctan2(x[1], x[0])
     depth = np.maximum(n[2], GRAZING * np.sqrt(np.einsum("in,in->n", n, n)))
+    rim = np.linalg.solve(np.linalg.inv(square)[:2, :2], x[:2])
+    rim /= np.einsum("in,in->n", rim, x[:2])
     leans = []
-    for strain, wave in zip(STRAINS, (np.cos(turn), np.sin(turn), 0.0, 0.0, 0.0), strict=True):
+    for strain in STRAINS @ unstrained:
         moved = strain @ x
-        across = wave * x
-        across[2] = 0.0
-        across[2] = np.einsum("in,in->n", n, moved - across) / depth
-        lean = square @ (across - moved) - strain @ n
+        away = np.einsum("in,in->n", rim, moved[:2]) * x - moved
+        away[2] = -np.einsum("in,in->n", n[:2], away[:2]) / depth
+        lean = square @ away - strain.T @ n
         leans.append(axes.T @ lean / np.sqrt(np.einsum("in,in->n", n, n)))
     return [lean - normal * np.einsum("in,in->n", normal, lean) for lean in leans]
 
@@ -418,7 +446,7 @@ def _spread_along_rays(
     angle: FloatArray,
     depth: FloatArray,
     hatted: _Hats,
-    law: FloatArray,
+    surface: _Surface,
     blur_px2: float,
 ) -> NDArray[np.floating]:
     limb = outline.radius(angle)
@@ -433,11 +461,11 @@ def _spread_along_rays(
     within = np.clip(1.0 - node**2 / limb[:, None], 0.0, 1.0 - GRAZE)
     fan = RayFan(picture, outline.center_px, angle, limb, float(within.min()))
     rays = fan.at(np.repeat(np.arange(len(angle)), len(node)), within.ravel())
-    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, law)
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, surface)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
-    variance = max(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
+    variance = psf_variance(picture.psf, blur_px2)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
     rows = fft.irfft(fft.rfft(rows.reshape(len(rows), t, len(node)), axis=1) * wave[:, None], t, axis=1)
     sources = np.matmul(rows.astype(np.float32), cell_means(fine, step, node))
@@ -518,7 +546,7 @@ def _spread_in_plane(
     angle: FloatArray,
     depth: FloatArray,
     hatted: _Hats,
-    law: FloatArray,
+    surface: _Surface,
     blur_px2: float,
 ) -> NDArray[np.floating]:
     psf, step = picture.psf.at(outline.center_px), PLANE_STEPS * float(depth[1] - depth[0])
@@ -535,7 +563,7 @@ def _spread_in_plane(
     length = within / share[inside, None]
     away = np.stack([flat_x[inside, None] * length, flat_y[inside, None] * length], axis=-1)
     rays = pixel_rays(picture, outline.center_px + away.reshape(-1, 2))
-    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, law)
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, surface)
     sources = np.zeros((len(rows), depth_px.size), dtype=np.float32)
     sources[:, inside] = (rows * weights.ravel()).reshape(-1, *weights.shape).sum(axis=2) * covered
     sources = sources.reshape(-1, *x.shape)

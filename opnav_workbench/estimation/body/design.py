@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies import Outline
 from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import EstimationError
 from opnav_workbench.estimation.body.knowledge import (
@@ -234,8 +235,8 @@ def _gathered(reading: OutlineReading, predicted: FloatArray) -> tuple[FloatArra
     normal /= np.linalg.norm(normal, axis=1)[:, None]
     rise = np.einsum("ij,ij->i", normal, wheel)
     lit = np.interp(angle, outline.angle_rad, reading.lit, period=2.0 * np.pi)
-    waves = np.stack([np.ones_like(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)], axis=-1)
-    basis = np.column_stack([normal, waves * (radius * rise)[:, None]])
+    grown = np.stack([np.ones_like(angle), *Outline.waves(angle, slope / radius)])
+    basis = np.column_stack([normal, (grown * radius * rise).T])
     weight = np.sqrt(np.maximum(lit, LEAST_WEIGHT))
     gather = np.linalg.pinv(basis * weight[:, None]) * weight
     return gather, normal, (radius - np.hypot(away[:, 0], away[:, 1])) * rise
