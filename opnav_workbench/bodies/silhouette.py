@@ -61,7 +61,7 @@ class Outline:
         return np.asarray(self.center_px + self.radius(angle_rad)[:, None] * wheel)
 
     def strained(self, log_size: float, strain: FloatArray, height_px: FloatArray | float = 0.0) -> "Outline":
-        """Return it larger, then under `strain` (2,): xx = -yy and xy, to first order; then its radius larger by heights (n,)."""
+        """Return it larger, under `strain` (2,), xx = -yy and xy, to first order, and its radius larger by heights (n,)."""
         grown = np.exp(log_size) * (1.0 + strain @ self.waves(self.angle_rad, self.slant))
         return Outline(self.center_px, self.angle_rad, self.radius_px * grown + height_px)
 
@@ -73,6 +73,12 @@ class Outline:
         """
         cos, sin = np.cos(2.0 * angle_rad), np.sin(2.0 * angle_rad)
         return np.stack([cos + slant * sin, sin - slant * cos])
+
+    def farthest_px(self, other: "Outline") -> float:
+        """Return how far the limb lies from another one at most, along rays of the same grid of angles."""
+        away = self.center_px - other.center_px
+        shift = np.cos(self.angle_rad) * away[0] + np.sin(self.angle_rad) * away[1]
+        return float(np.abs(shift + self.radius_px - other.radius_px).max())
 
     @property
     def slope_px(self) -> FloatArray:

@@ -19,7 +19,7 @@ from opnav_workbench.scene import picture_axes
 
 __all__ = ["STRAINS", "can_be_strained", "strain_axes", "strain_matrix", "strained_picture"]
 
-# The last five planes of `opnav_workbench.bodies.disk.limb_light`; of a sphere as symmetric strains xx = -yy, xy, zz, xz, yz.
+# The last five planes of `opnav_workbench.bodies.disk.limb_light`; of a sphere as symmetric xx = -yy, xy, zz, xz and yz.
 STRAINS = np.array(
     [
         [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 0.0]],

@@ -73,7 +73,7 @@ def test_one_light_of_the_hats_is_that_of_both(body_stage, diameter):
     ("diameter", "phase", "axes"), [(18.0, 120.0, (1.0, 1.0, 1.0)), (50.0, 80.0, (1.12, 1.0, 0.88))]
 )
 def test_columns_are_the_changes_of_light_that_is_tabulated_anew(body_stage, diameter, phase, axes):
-    """Of a strained body; they were up to 35 % off: a PSF keeps its width, and strains change the outline of a strained body.
+    """Of a strained body; they were up to 35 % off: a PSF keeps its width, strains change the outline of a strained body.
 
     Gauss-Newton steps with such columns end where nothing is likeliest: crescents were 2 sigma off (rms).
     """

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
@@ -31,6 +31,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
     depth_edges,
     gathered,
     limb_pixels,
+    limb_places,
 )
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
@@ -56,6 +57,7 @@ DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     12.0,
 )  # what tells of the limb, and of the albedo beside it
 SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there
+SAME_CELLS_PX = 0.35  # that an outline may move by, and cells stay what they are: half of their depth
 ROOM_PX = 16.0  # for a limb to move in before squares are made anew
 SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
 # Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
@@ -542,6 +544,22 @@ def _spread(places: Sequence[FloatArray], about: FloatArray) -> FloatArray:
     return np.asarray(away.T @ away / len(away))
 
 
+class _CelledSamples(NamedTuple):
+    """Samples about an outline, and the cell (n,) of each: what two shapes that lie near each other are compared by.
+
+    Samples that changed cells, or came and went, would make a likelihood jump by more than a step gains.
+    """
+
+    about: Outline
+    samples: LimbSamples
+    cell: IntArray
+
+    def seen_from(self, outline: Outline) -> "_CelledSamples":
+        """Return the same samples and cells, with their places about another outline."""
+        places = limb_places(outline, self.samples.places.pixel, self.samples.places.line)
+        return self._replace(samples=self.samples._replace(places=places))
+
+
 class _Cells(NamedTuple):
     """Variance, that by the light of the data (`LimbSystem.seen_variance`), data and columns of cells (j, c)."""
 
@@ -555,7 +573,7 @@ class _LinearDisk(NamedTuple):
     """A disk linearized about a shape: its system, samples with their columns as in `DiskFit`, and the solution."""
 
     system: LimbSystem
-    samples: LimbSamples
+    celled: _CelledSamples
     columns: FloatArray
     solution: MarginalSolution
 
@@ -577,6 +595,7 @@ class _Fitter:
         self.converged = False
         self.doubt: FloatArray | float = 1.0
         self.patchy = np.zeros(problem.pieces)
+        self.celled: _CelledSamples | None = None
         self.likelihood = -np.inf
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if start is not None:
@@ -644,9 +663,10 @@ class _Fitter:
         return min(solution.chi2 / _degrees(system) for system, solution in each)
 
     def _solve(self) -> None:
-        self._solve_at(*self._columns())
+        celled = self._celled(self.made.outline(self.shape))
+        self._solve_at(celled, self._columns(celled))
 
-    def _solve_at(self, near: LimbSamples, columns: FloatArray) -> None:
+    def _solve_at(self, celled: _CelledSamples, columns: FloatArray) -> None:
         """Solve, with cells of sky that no model reaches counting as much as their residuals say (Huber's weights).
 
         What shines there stays where it is while the outline and its cells move: each solution has to find it anew. Beside
@@ -654,8 +674,9 @@ class _Fitter:
         doubts it.
         """
         for _ in range(MOST_DOUBTS):
-            system = self._system(near, columns)
-            self.linear = _LinearDisk(system, near, columns, system.solve(self.prior, self._held()))
+            system = self._system(celled, columns)
+            self.linear = _LinearDisk(system, celled, columns, system.solve(self.prior, self._held()))
+            self.celled = celled
             before, found = self.doubt, self._doubts(self.linear)
             self.doubt = np.where(self.problem.in_sky, found, before)
             if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
@@ -700,12 +721,12 @@ class _Fitter:
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
         self.likelihood += self.linear.solution.log_likelihood - before
 
-    def _patchiness(self, near: LimbSamples, columns: FloatArray) -> FloatArray:
+    def _patchiness(self, celled: _CelledSamples, columns: FloatArray) -> FloatArray:
         """Return the variance (j,) of the albedo within pieces of limb, by pixels beside it about the means of cells.
 
         Where it is large, a cell's mean of data is not that of its light: pixels that are brighter lie deeper, or less deep.
         """
-        problem = self.problem
+        problem, near = self.problem, celled.samples
         light = self.brightness * columns[Unknown.BRIGHTNESS]
         here = (
             (near.side == 1.0)
@@ -714,9 +735,13 @@ class _Fitter:
         )
         albedo, light = near.data_dn[here] / light[here], light[here]
         noise = (near.variance_dn2[here] + light / problem.pixels.gain_e_per_dn) / light**2
-        cell = cell_of(near.places, problem.pieces, problem.edges)[here]
         count, mean, (square, expected) = gathered(
-            cell, np.ones(len(albedo)), albedo, np.stack([albedo**2, noise]), problem.pieces, problem.edges
+            celled.cell[here],
+            np.ones(len(albedo)),
+            albedo,
+            np.stack([albedo**2, noise]),
+            problem.pieces,
+            problem.edges,
         )
         free = np.maximum(count - 1.0, 0.0)
         beyond = np.sum(count * (square - mean**2) - free * expected, axis=1)
@@ -726,8 +751,8 @@ class _Fitter:
         """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
         linear = self.linear
         self.doubt = self._doubts(linear)
-        self.patchy = self._patchiness(linear.samples, linear.columns)
-        self._solve_at(linear.samples, linear.columns)
+        self.patchy = self._patchiness(linear.celled, linear.columns)
+        self._solve_at(linear.celled, linear.columns)
 
     def _iterate(self, most: int) -> None:
         """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
@@ -785,14 +810,16 @@ class _Fitter:
             length = self._move(begun, 0.5**halving)
             self._solve()
             if (
-                self.linear.solution.held_cost < start.held_cost + self._regrouping(length)
+                self.linear.solution.held_cost < start.held_cost + self._regrouping(begun, length)
                 or length < STILL_PX
             ):
                 break
         return length
 
-    def _regrouping(self, length_px: float) -> float:
-        """Return what a cost may change by (one sigma) when the pixels are gathered anew in cells so far away."""
+    def _regrouping(self, begun: _LinearDisk, length_px: float) -> float:
+        """Return what a cost may grow by, with what it changes by (one sigma) if cells so far away are others."""
+        if self.linear.celled.cell is begun.celled.cell:
+            return GROWTH
         cells = np.count_nonzero(np.isfinite(self.linear.system.variance))
         return GROWTH + 2.0 * float(np.sqrt(cells * min(length_px, 1.0)))
 
@@ -826,6 +853,7 @@ class _Fitter:
 
     def _return_to(self, state: _FitState) -> None:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
+        self.celled = self.linear.celled
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
@@ -886,7 +914,7 @@ class _Fitter:
         Noise, grain and albedo go with that: a start whose pieces are all alike would look better than any step from it.
         """
         self._relight(self.linear)
-        self._solve_at(self.linear.samples, self.linear.columns)
+        self._solve_at(self.linear.celled, self.linear.columns)
 
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
@@ -927,23 +955,33 @@ class _Fitter:
         law = share * max(self.prior.albedo, EVEN_ALBEDO) > bounds.share or power > bounds.power
         return law or size > bounds.size or strain > bounds.strain or blur > bounds.blur
 
-    def _columns(self) -> tuple[LimbSamples, FloatArray]:
-        problem, outline = self.problem, self.made.outline(self.shape)
+    def _celled(self, outline: Outline) -> _CelledSamples:
+        """Return the samples about an outline in their cells: those that there are, unless it has moved too far."""
+        kept, problem = self.celled, self.problem
+        if kept is not None and outline.farthest_px(kept.about) < SAME_CELLS_PX:
+            return kept.seen_from(outline)
         near = problem.samples(outline)
-        columns = _columns_at(
-            self.made, self.shape, outline, near.places, near.spread_px, on_slopes=self.prior.on_slopes
-        )
-        return near, columns
+        return _CelledSamples(outline, near, cell_of(near.places, problem.pieces, problem.edges))
 
-    def _cells(self, near: LimbSamples, columns: FloatArray) -> _Cells:
+    def _columns(self, celled: _CelledSamples) -> FloatArray:
+        near = celled.samples
+        return _columns_at(
+            self.made,
+            self.shape,
+            self.made.outline(self.shape),
+            near.places,
+            near.spread_px,
+            on_slopes=self.prior.on_slopes,
+        )
+
+    def _cells(self, celled: _CelledSamples, columns: FloatArray) -> _Cells:
         """Return the cells (j, c) of the samples."""
-        problem = self.problem
+        problem, near, cell = self.problem, celled.samples, celled.cell
         model = self.brightness * columns[Unknown.BRIGHTNESS]
         weight, seen = (
             1.0 / (near.variance_dn2 + np.maximum(light, 0.0) / (problem.pixels.gain_e_per_dn * near.side**2))
             for light in (model, near.data_dn)
         )
-        cell = cell_of(near.places, problem.pieces, problem.edges)
         both = np.concatenate([columns, weight[None], columns[:1] ** 2, (seen / weight)[None]])
         whole, data, means = gathered(cell, weight, near.data_dn, both, problem.pieces, problem.edges)
         usable = whole > 0.0
@@ -955,10 +993,10 @@ class _Fitter:
         seen_variance = 1.0 / np.where(usable, means[-1] * whole, 1.0)
         return _Cells(variance, seen_variance, data, means[:-3])
 
-    def _system(self, near: LimbSamples, columns: FloatArray) -> LimbSystem:
+    def _system(self, celled: _CelledSamples, columns: FloatArray) -> LimbSystem:
         """Return the linear system of the cells: what the present shape has of theta stands on the side of the data."""
         problem, shape, made = self.problem, self.shape, self.made
-        variance, seen_variance, data, means = self._cells(near, columns)
+        variance, seen_variance, data, means = self._cells(celled, columns)
         lit = self.brightness * self.piece_albedo[:, None]
         means = columns_dn(means, self.brightness, lit)
         shaded, parts = means[SHADED], means[ALBEDO]

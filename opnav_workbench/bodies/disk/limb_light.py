@@ -208,7 +208,7 @@ def limb_light(
     small = radius < PLANE_RADIUS_PX[int(fine)]
     build = _spread_in_plane if small else _spread_along_rays
     hatted = _Hats(node_rad, (0, -1) if on_slopes is None else (-int(on_slopes),))
-    surface = _Surface(law, np.linalg.inv(strain_matrix(strain)))
+    surface = _Surface(law, np.asarray(np.linalg.inv(strain_matrix(strain)), dtype=np.float64))
     tables = build(picture, model, outline, angle, depth, hatted, surface, blur_px2)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
     total = tables[0]

@@ -76,8 +76,8 @@ class MarginalSolution:
     held_chi2
         The same with those of theta that were to be held, at the values given.
     held_cost
-        Minus twice the logarithm of the likelihood with what is held, relative to the noise of the cells: which of two models
-        is the likelier, however wide they take their own errors to be.
+        Minus twice the logarithm of the likelihood with what is held, relative to the noise of the cells: which of two
+        models is the likelier, however wide they take their own errors to be.
     share : (k,) array
         Of each of the scales that theta may have.
     """
@@ -105,7 +105,7 @@ class WeighedCells(NamedTuple):
     root: FloatArray
     cross: FloatArray
     plain: FloatArray
-    count: int
+    n_cells: int
     log_weights: float
 
 
@@ -126,7 +126,7 @@ class _MarginalEquations(NamedTuple):
 
     def width(self, cells: WeighedCells) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
-        return self.field_width - cells.log_weights - cells.count
+        return self.field_width - cells.log_weights - cells.n_cells
 
     def log_likelihood(self, cells: WeighedCells) -> float:
         return self.mixed.log_evidence - 0.5 * (self.whole + self.width(cells))
@@ -141,8 +141,8 @@ class LimbSystem:
     data, variance : (j, c) arrays
         Infinite variance without pixels.
     seen_variance : (j, c) array
-        Of noise as the data, not the model, have it. Likelihoods are relative to it and to a chi-squared of one a cell, so that
-        outlines with other pixels in their strips, and other cells, compare.
+        Of noise as the data, not the model, have it. Likelihoods are relative to it and to a chi-squared of one a cell, so
+        that outlines with other pixels in their strips, and other cells, compare.
     light : (j, c) array
         What `FieldPrior.grain` is relative to, DN: the light of slopes that face the Sun.
     shared : (p, j, c) array
