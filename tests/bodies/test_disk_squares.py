@@ -54,7 +54,7 @@ def test_the_light_of_a_square_is_that_of_its_pixels(disk):
     picture, outline, light = disk
     nodes = np.linspace(0.0, 0.5, 5)
     reach = (INWARD_PX + 10.0, OUTWARD_PX + 4.0)
-    tables = limb_light(picture, "BODY", outline, 1.0, reach, nodes, np.zeros(2), fine=True)
+    tables = limb_light(picture, "BODY", outline, 1.0, reach, nodes, np.zeros(2), np.zeros(5), fine=True)
     samples = limb_samples(
         PixelSquares(pixels_of(light), outline, 30.0), outline, INWARD_PX, OUTWARD_PX, SHARP_PX
     )

@@ -70,7 +70,7 @@ WING_SIGMA = 0.15
 # Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned. Nothing but the
 # tables tells how light changes with a power: along the valley of a law they have to follow.
 MOST_TURNS, MOST_FINE, MOST_TUNED = 12, 8, 2
-MOST_HALVINGS = 3
+MOST_HALVINGS, MOST_UPHILL = 3, 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
@@ -763,17 +763,18 @@ class _Fitter:
         """
         self._reweigh()
         best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
-        passed = []
+        passed, uphill = [], 0
         for _ in range(most):
-            self.lengths.append(self._step())
+            length, lower = self._step()
+            self.lengths.append(length)
             passed.append(self.shape.center_px)
+            uphill = 0 if lower else uphill + 1
             anew = not self.made.light.fine and self._stale(NEW) and self._tabulate(fine=False)
             if anew or self.linear.solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
             fine = self.made.light.fine
-            if self._wanted_px() < self._slack_px(
-                *((STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS))
-            ):
+            still = (STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS)
+            if uphill == MOST_UPHILL or self._wanted_px() < self._slack_px(*still):
                 break
         if self.linear.solution.held_cost > best.linear.solution.held_cost + self._lost():
             last_px = self.shape.center_px
@@ -801,20 +802,21 @@ class _Fitter:
         """Return what a center may still move by: so many px, or so many of its sigmas."""
         return max(least_px, sigmas * float(np.sqrt(self.linear.solution.covariance[CENTER, CENTER].max())))
 
-    def _step(self) -> float:
-        """Take a step, or a part of it that does not make the fit worse, and return its length (px)."""
+    def _step(self) -> tuple[float, bool]:
+        """Take a step, or a part of it that does not make the fit worse.
+
+        It returns its length (px), and whether it was such a part: else the last one that was tried.
+        """
         before, begun, start = self.shape, self.linear, self.linear.solution
         self._relight(begun)
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
             self._solve()
-            if (
-                self.linear.solution.held_cost < start.held_cost + self._regrouping(begun, length)
-                or length < STILL_PX
-            ):
-                break
-        return length
+            allowed = start.held_cost + self._regrouping(begun, length)
+            if self.linear.solution.held_cost < allowed or length < STILL_PX:
+                return length, True
+        return length, False
 
     def _regrouping(self, begun: _LinearDisk, length_px: float) -> float:
         """Return what a cost may grow by, with what it changes by (one sigma) if cells so far away are others."""
