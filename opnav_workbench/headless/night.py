@@ -126,12 +126,19 @@ class NightChoice:
 
 @dataclass(frozen=True, slots=True)
 class NightPlan:
-    """What a night has to do."""
+    """What a night has to do.
+
+    Attributes
+    ----------
+    mission
+        Its name, whatever file it was read from: that may be the night's own, with the PSF that it has learned.
+    """
 
     spec: NightSpec
     out: Path
     pictures: tuple[NightPicture, ...]
     inputs: NightInputs
+    mission: str
 
     @property
     def todo(self) -> tuple[NightPicture, ...]:
@@ -147,7 +154,7 @@ class NightPlan:
             folder=str(self.out / WORK_FOLDER),
             notebook=str(_notebook(spec)),
             parameters=_parameters(spec, picture.image),
-            mission=spec.mission,
+            mission=self.mission,
             time_limit_s=spec.time_limit_s,
             memory_limit_mb=spec.memory_limit_mb,
             retries=spec.retries,
@@ -196,7 +203,7 @@ def plan_night(
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
             for image, name in zip(names, map(_shown_name, names.values()), strict=True)
         ]
-    return NightPlan(spec, folder, tuple(pictures), inputs)
+    return NightPlan(spec, folder, tuple(pictures), inputs, mission.name)
 
 
 def _shown_name(name: str) -> str:
@@ -503,7 +510,7 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
             night.outlived[picture.name] = f"the machine failed it, its older result stands: {verdict.reason}"
             return verdict
     elif not (work / RESULT_FILE).is_file():
-        write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, verdict.reason))
+        write_json(work / RESULT_FILE, failed_result(picture.image, plan.mission, verdict.reason))
     record = _record(plan, picture, verdict, work)
     night.touched.update(record.touched)
     settled = settle(work, final, record)

@@ -73,7 +73,7 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     return {
         "version": __version__,
         "written_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "mission": spec.mission,
+        "mission": night.plan.mission,
         "kernels": spec.kernels,
         "catalog": spec.catalog,
         "targets": spec.targets,

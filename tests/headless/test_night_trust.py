@@ -99,6 +99,24 @@ def test_a_picture_that_is_open_is_left_to_its_analyst(images, out):
 
 
 @pytest.mark.slow
+def test_a_picture_that_is_opened_while_a_night_runs_is_left_to_its_analyst(images, out):
+    """Who has decided nothing yet is known by the lock alone."""
+    night(images, out)
+    at_work: list[Analyst] = []
+
+    def meanwhile(job, folder):
+        result_of(job, folder)
+        at_work.append(Analyst(out / "a"))
+
+    made = night(images, out, StubPool(meanwhile), how=OTHER)
+    assert made_by(out) == "euler"
+    assert "open elsewhere" in made.unplaced["a"]
+    at_work[0].decide("double star")
+    at_work[0].leave()
+    assert decisions_below(out / "a") == {"double star"}
+
+
+@pytest.mark.slow
 def test_files_that_no_night_wrote_go_to_the_attic(images, out):
     night(images, out)
     (out / "a" / "notes.txt").write_text("ask the instrument team")
@@ -347,7 +365,8 @@ def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
 
 @pytest.mark.parametrize("fault", ["machine", "limit"])
 def test_what_may_pass_is_tried_again(images, out, fault):
-    night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
+    made = night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
+    assert made.unarchived == []
     assert states(images, out, time_limit_s=20.0) == {"a": "new"}
     with Campaign(out) as campaign:  # a machine's fault is no picture's
         assert [entry.status for entry in campaign.entries()] == ([] if fault == "machine" else ["failed"])
@@ -387,6 +406,18 @@ def test_what_failed_can_be_asked_for_again_and_all_by_force(images, out):
     assert states(images, out, {"force": True}) == {"a": "new", "b": "kept"}
 
 
+@pytest.mark.slow
+def test_a_failure_is_known_by_its_missions_name(images, out):
+    """The mission file may be the night's own, with the PSF that it has learned."""
+    file = str(load_mission("new_horizons").path)
+    made = night(images, out, StubPool(lambda job, folder: ("picture", "no image")), how={"mission": file})
+    assert (
+        made.plan.job(made.plan.pictures[0]).mission == "new_horizons"
+    )  # what a notebook's failure is written with
+    assert json.loads((out / "a" / "result.json").read_text())["mission"] == "new_horizons"
+    assert write_night_summary(made)["mission"] == "new_horizons"
+
+
 # ---- Names, lock, archive
 
 
@@ -420,13 +451,19 @@ def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypa
     assert made_by(out) == "image_plane"
     monkeypatch.undo()
 
-    # And one that runs on while the first tidies up keeps its working folder.
-    def slow(job, folder):
-        assert folder.is_dir()
-        result_of(job, folder)
+    # And one that is at work while the first tidies up keeps what it has.
+    def release_then_work(self):
+        released(self)
+        if self._path.parent.name == ".work" and not at_work:
+            at_work.append(FolderLock(self._path.parent))
+            (self._path.parent / "a-1").mkdir()
 
-    other = night(images, out, StubPool(slow))
-    assert [verdict.fault for verdict in other.verdicts] == [""]
+    at_work: list[FolderLock] = []
+    monkeypatch.setattr(FolderLock, "release", release_then_work)
+    night(images, out)
+    assert (out / ".work" / "a-1").is_dir()
+    monkeypatch.undo()
+    at_work[0].release()
 
 
 @pytest.mark.slow(keep=("head",))
