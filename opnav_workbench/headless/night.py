@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from opnav_workbench.errors import SessionError, plain_line
+from opnav_workbench.errors import SessionError, plain_line, some_of
 from opnav_workbench.files import fitting_name, inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import (
@@ -331,7 +331,7 @@ def state_of(
     if again == "always":
         return "new", (f"the machine failed it: {record.reason}",)
     if not record.fingerprint:
-        said = tuple(f"{name} was written to while it was processed" for name in record.touched)
+        said = tuple(f"{name} was written to or taken away while it was processed" for name in record.touched)
         return "new", said or changes(record.inputs, now.inputs)
     if again == "raised" and is_raised(record.limits, now.limits):
         return "new", (f"a limit is higher now than when it failed: {record.reason}",)
@@ -494,7 +494,8 @@ class _NightLock:
 def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) -> NotebookOutcome:
     """Put what a picture's process left into its place; return the verdict, another one if that is gone.
 
-    A fault of the machine tells nothing of the picture: an older result stays, and none is made up.
+    A fault of the machine tells nothing of the picture: an older result stays, and none is made up. The same holds for any
+    fault while a file was written to or taken away: a disk of kernels that is gone fails every picture.
     """
     plan = night.plan
     # Not there where no process was begun, or somebody has deleted it.
@@ -504,6 +505,11 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
         verdict = replace(
             verdict, fault="machine", reason="its result was taken away from the night's folder"
         )
+    touched = (*_touched(picture, work), *plan.inputs.touched())
+    if touched and verdict.fault and FAULTS[verdict.fault].is_result:
+        because = f"{some_of(touched)} written to or taken away meanwhile"
+        verdict = replace(verdict, fault="machine", reason=f"{verdict.reason} ({because})")
+    night.touched.update(touched)
     if not FAULTS[verdict.fault].is_result:
         (work / RESULT_FILE).unlink(missing_ok=True)
         if (final / RESULT_FILE).is_file():
@@ -511,8 +517,7 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
             return verdict
     elif not (work / RESULT_FILE).is_file():
         write_json(work / RESULT_FILE, failed_result(picture.image, plan.mission, verdict.reason))
-    record = _record(plan, picture, verdict, work)
-    night.touched.update(record.touched)
+    record = _record(picture, verdict, work, touched)
     settled = settle(work, final, record)
     if not settled.placed:
         night.unplaced[picture.name] = settled.note
@@ -521,8 +526,9 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
     return verdict
 
 
-def _record(plan: NightPlan, picture: NightPicture, verdict: NotebookOutcome, work: Path) -> NightRecord:
-    touched = (*_touched(picture, work), *plan.inputs.touched())
+def _record(
+    picture: NightPicture, verdict: NotebookOutcome, work: Path, touched: tuple[str, ...]
+) -> NightRecord:
     passing = touched or not FAULTS[verdict.fault].is_result
     return replace(
         picture.basis,

@@ -1,12 +1,13 @@
 """The morning after: what came out of every picture, as plain values (``summary.json``), for a page, and for the queue."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from opnav_workbench.campaign.run_folder import attention_reasons
+from opnav_workbench.errors import some_of
 from opnav_workbench.files import inside, json_value, text_of
 from opnav_workbench.headless.night import Night, NightPicture
 from opnav_workbench.headless.night_pages import write_pages
@@ -80,17 +81,35 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         "counts": dict(Counter(row["status"] for row in images)),
         "processed_now": len(now),
         "failed_now": len(failed),
-        "not_archived": list(night.unarchived),
+        "not_archived": _told_once(night.unarchived),
         "notes": [
             *night.notes,
-            *(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
-            *(
-                f"{n} was written to while the night ran: pictures processed with it ({count}) are done again next time"
-                for n, count in night.touched.items()
-            ),
+            *_told_once(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
+            *_touched_files(night.touched),
         ],
         "images": images,
     }
+
+
+def _told_once(told: Iterable[str]) -> list[str]:
+    """Return what is told of pictures (``name: why``), of those with the same reason in one line."""
+    names: dict[str, list[str]] = {}
+    for line in told:
+        name, _, why = line.partition(": ")
+        names.setdefault(why, []).append(name)
+    return [f"{some_of(same)}: {why}" for why, same in names.items()]
+
+
+def _touched_files(touched: Mapping[str, int]) -> Iterator[str]:
+    files: dict[int, list[str]] = {}
+    for name, count in touched.items():
+        files.setdefault(count, []).append(name)
+    for count, same in files.items():
+        were, them = ("were", "them") if len(same) > 1 else ("was", "it")
+        yield (
+            f"{some_of(same)} {were} written to or taken away while the night ran: pictures processed with {them} "
+            f"({count}) are done again next time"
+        )
 
 
 def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict[str, Any]:

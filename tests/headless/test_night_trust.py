@@ -186,9 +186,15 @@ def test_what_was_there_for_a_moment_only_is_nobodys_result(images, out, tmp_pat
         return verdict
 
     made = night(images, out, StubPool(work))
-    assert f"{file.name} was written to while the night ran" in write_night_summary(made)["notes"][0]
+    assert (
+        f"{file.name} was written to or taken away while the night ran"
+        in write_night_summary(made)["notes"][0]
+    )
     (picture,) = plan_night(spec_of(images), out).pictures
-    assert (picture.state, picture.why) == ("new", (f"{file.name} was written to while it was processed",))
+    (why,) = picture.why
+    assert picture.state == "new"
+    assert file.name in why
+    assert "written to or taken away" in why
 
 
 def test_a_kernel_of_the_same_size_and_time_of_change_is_noticed(tmp_path):
@@ -392,6 +398,31 @@ def test_a_fault_of_the_machine_leaves_an_older_result_where_it_is(images, out):
     assert summary["failed_now"] == 1
     assert "a worker was lost" in summary["notes"][0]
     assert states(images, out, **OTHER) == {"a": "new"}
+
+
+@pytest.mark.slow
+def test_what_failed_as_its_inputs_went_away_leaves_an_older_result_where_it_is(images, out):
+    """A disk of kernels or catalogs that is unmounted in the middle of a night."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    catalog, away = images.parent / "one_star.npz", images.parent / "away.npz"
+
+    def work(job, folder):
+        if catalog.exists():
+            catalog.rename(away)
+        return "picture", "no catalog"
+
+    made = night(images, out, StubPool(work), how=OTHER)
+    assert {made_by(out), made_by(out, "b")} == {"euler"}
+    summary = write_night_summary(made)
+    assert summary["failed_now"] == 2
+    stands, gone = summary["notes"]  # one line each, for whatever number of pictures
+    assert stands.startswith("a, b: the machine failed it, its older result stands: no catalog (one_star.npz")
+    assert gone.startswith("one_star.npz was written to or taken away")
+    with Campaign(out) as campaign:
+        assert {entry.status for entry in campaign.entries()} == {"ok"}
+    away.rename(catalog)
+    assert states(images, out, **OTHER) == {"a": "new", "b": "new"}
 
 
 @pytest.mark.slow
