@@ -508,7 +508,7 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
     touched = (*_touched(picture, work), *plan.inputs.touched())
     if touched and verdict.fault and FAULTS[verdict.fault].is_result:
         because = f"{some_of(touched)} written to or taken away meanwhile"
-        verdict = replace(verdict, fault="machine", reason=f"{verdict.reason} ({because})")
+        verdict = replace(verdict, fault="machine", reason=f"{verdict.reason.rstrip('.')} ({because})")
     night.touched.update(touched)
     if not FAULTS[verdict.fault].is_result:
         (work / RESULT_FILE).unlink(missing_ok=True)

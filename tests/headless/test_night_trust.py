@@ -579,6 +579,19 @@ class Dying:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+@pytest.mark.slow
+def test_sigterm_ends_a_night_that_is_being_planned(images, out, monkeypatch):
+    """Without the handler the signal would end this process, and a job script would know nothing."""
+
+    def told(*_, **__):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(30.0)
+
+    monkeypatch.setattr(nightly, "plan_night", told)
+    status, said = run(images, out, monkeypatch, result_of)
+    assert (status, "stopped" in said) == (143, True)
+
+
 def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost(monkeypatch):
     """One in eight nights of a storm went on, deaf to any other signal.
 
