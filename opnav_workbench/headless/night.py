@@ -238,7 +238,11 @@ def _planned(
     mark = inputs.fingerprint(basis.image_sha256, basis.et, beside) if basis.image_sha256 else ""
     used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
-    state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
+    try:
+        session, in_use = session_digest(folder), _in_use(folder)
+    except OSError as error:  # of a picture that an analyst may have worked on, for all that anybody can tell
+        session, in_use = "", f"its session cannot be read now ({error.strerror})"
+    state, why = state_of(record, basis, session, choice, in_use)
     if state == "done" and not _has_result(folder, record):
         state, why = "new", (f"its {RESULT_FILE} is missing or damaged",)
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:

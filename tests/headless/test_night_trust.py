@@ -1,5 +1,6 @@
 """A night that takes nothing from an analyst, notices what has changed, and tells a passing fault from a lasting one."""
 
+import errno
 import json
 import os
 import shutil
@@ -96,6 +97,22 @@ def test_a_picture_that_is_open_is_left_to_its_analyst(images, out):
     assert states(images, out, **OTHER) == {"a": "kept"}
     analyst.leave()
     assert states(images, out, **OTHER) == {"a": "new"}
+
+
+@pytest.mark.slow
+def test_a_session_that_cannot_be_read_now_is_let_be(images, out, monkeypatch):
+    """A stale handle of a file server, of one picture: the others are done."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    digest = night_module.session_digest
+
+    def stale(folder):
+        if folder == out / "a":
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+        return digest(folder)
+
+    monkeypatch.setattr(night_module, "session_digest", stale)
+    assert states(images, out, **OTHER) == {"a": "kept", "b": "new"}
 
 
 @pytest.mark.slow
