@@ -14,6 +14,7 @@ from opnav_workbench.headless.night_pages import write_pages
 from opnav_workbench.headless.night_trends import write_night_trends
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.headless.records import NightRecord, read_record
+from opnav_workbench.paths import exists, is_file  # a stale handle costs no page
 from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
@@ -138,7 +139,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
         "seconds": None if record is None else record.seconds,
         "peak_mb": None if record is None else record.peak_mb,
         "tries": None if record is None else record.tries,
-        "files": [n for n in (RESULT_FILE, FIGURE_FILE, HTML_FILE, EXECUTED_FILE) if (folder / n).is_file()],
+        "files": [n for n in (RESULT_FILE, FIGURE_FILE, HTML_FILE, EXECUTED_FILE) if is_file(folder / n)],
     }
 
 
@@ -162,7 +163,7 @@ def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_result(folder: Path, record: NightRecord | None) -> dict[str, Any]:
     """Return what came out; where the machine failed a picture there is no result, but a record that says why."""
-    if record is not None and record.reason and not (folder / RESULT_FILE).exists():
+    if record is not None and record.reason and not exists(folder / RESULT_FILE):
         return {"status": "failed", "messages": [record.reason]}
     try:
         result: dict[str, Any] = json_value(text_of(folder / RESULT_FILE))
