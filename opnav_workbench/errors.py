@@ -5,6 +5,7 @@ Every message says what was wrong, with the numbers, and what to do about it. Wh
 """
 
 import unicodedata
+from collections.abc import Sequence
 
 __all__ = [
     "CameraError",
@@ -116,3 +117,15 @@ def counted(count: int, noun: str) -> str:
     ('1 pixel', '2 pixels')
     """
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def some_of(names: Sequence[str], most: int = 3) -> str:
+    """Return the first of some names, and how many others there are, for messages.
+
+    Examples
+    --------
+    >>> some_of(["a.bsp", "b.bsp"]), some_of(["a", "b", "c", "d", "e"])
+    ('a.bsp, b.bsp', 'a, b, c and 2 more')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

@@ -165,7 +165,12 @@ def nightly(
         archive=archive,
         log=log,
     )
-    status = night(plan(), notify=notify) if watch is None else _watch(console, plan, night, watch, notify)
+    if watch is None:
+        with ended_by_signals():  # of many pictures learning and planning take minutes
+            planned = plan()
+        status = night(planned, notify=notify)
+    else:
+        status = _watch(console, plan, night, watch, notify)
     if status:
         raise typer.Exit(status)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from opnav_workbench.errors import SessionError, plain_line
+from opnav_workbench.errors import SessionError, plain_line, some_of
 from opnav_workbench.files import fitting_name, inside, make_folder, sha256_of, write_json
 from opnav_workbench.headless.faults import FAULTS, is_raised
 from opnav_workbench.headless.inputs import (
@@ -126,12 +126,19 @@ class NightChoice:
 
 @dataclass(frozen=True, slots=True)
 class NightPlan:
-    """What a night has to do."""
+    """What a night has to do.
+
+    Attributes
+    ----------
+    mission
+        Its name, whatever file it was read from: that may be the night's own, with the PSF that it has learned.
+    """
 
     spec: NightSpec
     out: Path
     pictures: tuple[NightPicture, ...]
     inputs: NightInputs
+    mission: str
 
     @property
     def todo(self) -> tuple[NightPicture, ...]:
@@ -147,7 +154,7 @@ class NightPlan:
             folder=str(self.out / WORK_FOLDER),
             notebook=str(_notebook(spec)),
             parameters=_parameters(spec, picture.image),
-            mission=spec.mission,
+            mission=self.mission,
             time_limit_s=spec.time_limit_s,
             memory_limit_mb=spec.memory_limit_mb,
             retries=spec.retries,
@@ -196,7 +203,7 @@ def plan_night(
             _planned(image, name, inside(folder, name), spec, mission, inputs, choice)
             for image, name in zip(names, map(_shown_name, names.values()), strict=True)
         ]
-    return NightPlan(spec, folder, tuple(pictures), inputs)
+    return NightPlan(spec, folder, tuple(pictures), inputs, mission.name)
 
 
 def _shown_name(name: str) -> str:
@@ -231,7 +238,11 @@ def _planned(
     mark = inputs.fingerprint(basis.image_sha256, basis.et, beside) if basis.image_sha256 else ""
     used = {"picture": basis.image_sha256, **beside, **inputs.of(basis.et)}
     basis = replace(basis, fingerprint=mark, inputs=used)
-    state, why = state_of(record, basis, session_digest(folder), choice, in_use=_in_use(folder))
+    try:
+        session, in_use = session_digest(folder), _in_use(folder)
+    except OSError as error:  # of a picture that an analyst may have worked on, for all that anybody can tell
+        session, in_use = "", f"its session cannot be read now ({error.strerror})"
+    state, why = state_of(record, basis, session, choice, in_use)
     if state == "done" and not _has_result(folder, record):
         state, why = "new", (f"its {RESULT_FILE} is missing or damaged",)
     if state == "new" and choice.quiet_s > 0.0 and (age := _age_s(image)) < choice.quiet_s:
@@ -324,7 +335,7 @@ def state_of(
     if again == "always":
         return "new", (f"the machine failed it: {record.reason}",)
     if not record.fingerprint:
-        said = tuple(f"{name} was written to while it was processed" for name in record.touched)
+        said = tuple(f"{name} was written to or taken away while it was processed" for name in record.touched)
         return "new", said or changes(record.inputs, now.inputs)
     if again == "raised" and is_raised(record.limits, now.limits):
         return "new", (f"a limit is higher now than when it failed: {record.reason}",)
@@ -487,7 +498,8 @@ class _NightLock:
 def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) -> NotebookOutcome:
     """Put what a picture's process left into its place; return the verdict, another one if that is gone.
 
-    A fault of the machine tells nothing of the picture: an older result stays, and none is made up.
+    A fault of the machine tells nothing of the picture: an older result stays, and none is made up. The same holds for any
+    fault while a file was written to or taken away: a disk of kernels that is gone fails every picture.
     """
     plan = night.plan
     # Not there where no process was begun, or somebody has deleted it.
@@ -497,15 +509,19 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
         verdict = replace(
             verdict, fault="machine", reason="its result was taken away from the night's folder"
         )
+    touched = (*_touched(picture, work), *plan.inputs.touched())
+    if touched and verdict.fault and FAULTS[verdict.fault].is_result:
+        because = f"{some_of(touched)} written to or taken away meanwhile"
+        verdict = replace(verdict, fault="machine", reason=f"{verdict.reason.rstrip('.')} ({because})")
+    night.touched.update(touched)
     if not FAULTS[verdict.fault].is_result:
         (work / RESULT_FILE).unlink(missing_ok=True)
         if (final / RESULT_FILE).is_file():
             night.outlived[picture.name] = f"the machine failed it, its older result stands: {verdict.reason}"
             return verdict
     elif not (work / RESULT_FILE).is_file():
-        write_json(work / RESULT_FILE, failed_result(picture.image, plan.spec.mission, verdict.reason))
-    record = _record(plan, picture, verdict, work)
-    night.touched.update(record.touched)
+        write_json(work / RESULT_FILE, failed_result(picture.image, plan.mission, verdict.reason))
+    record = _record(picture, verdict, work, touched)
     settled = settle(work, final, record)
     if not settled.placed:
         night.unplaced[picture.name] = settled.note
@@ -514,8 +530,9 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
     return verdict
 
 
-def _record(plan: NightPlan, picture: NightPicture, verdict: NotebookOutcome, work: Path) -> NightRecord:
-    touched = (*_touched(picture, work), *plan.inputs.touched())
+def _record(
+    picture: NightPicture, verdict: NotebookOutcome, work: Path, touched: tuple[str, ...]
+) -> NightRecord:
     passing = touched or not FAULTS[verdict.fault].is_result
     return replace(
         picture.basis,

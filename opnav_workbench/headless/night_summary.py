@@ -1,18 +1,20 @@
 """The morning after: what came out of every picture, as plain values (``summary.json``), for a page, and for the queue."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from opnav_workbench.campaign.run_folder import attention_reasons
+from opnav_workbench.errors import some_of
 from opnav_workbench.files import inside, json_value, text_of
 from opnav_workbench.headless.night import Night, NightPicture
 from opnav_workbench.headless.night_pages import write_pages
 from opnav_workbench.headless.night_trends import write_night_trends
 from opnav_workbench.headless.night_workers import EXECUTED_FILE, HTML_FILE
 from opnav_workbench.headless.records import NightRecord, read_record
+from opnav_workbench.paths import exists, is_file  # a stale handle costs no page
 from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, write_queue
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
@@ -73,24 +75,42 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     return {
         "version": __version__,
         "written_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "mission": spec.mission,
+        "mission": night.plan.mission,
         "kernels": spec.kernels,
         "catalog": spec.catalog,
         "targets": spec.targets,
         "counts": dict(Counter(row["status"] for row in images)),
         "processed_now": len(now),
         "failed_now": len(failed),
-        "not_archived": list(night.unarchived),
+        "not_archived": _told_once(night.unarchived),
         "notes": [
             *night.notes,
-            *(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
-            *(
-                f"{n} was written to while the night ran: pictures processed with it ({count}) are done again next time"
-                for n, count in night.touched.items()
-            ),
+            *_told_once(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
+            *_touched_files(night.touched),
         ],
         "images": images,
     }
+
+
+def _told_once(told: Iterable[str]) -> list[str]:
+    """Return what is told of pictures (``name: why``), of those with the same reason in one line."""
+    names: dict[str, list[str]] = {}
+    for line in told:
+        name, _, why = line.partition(": ")
+        names.setdefault(why, []).append(name)
+    return [f"{some_of(same)}: {why}" for why, same in names.items()]
+
+
+def _touched_files(touched: Mapping[str, int]) -> Iterator[str]:
+    files: dict[int, list[str]] = {}
+    for name, count in touched.items():
+        files.setdefault(count, []).append(name)
+    for count, same in files.items():
+        were, them = ("were", "them") if len(same) > 1 else ("was", "it")
+        yield (
+            f"{some_of(same)} {were} written to or taken away while the night ran: pictures processed with {them} "
+            f"({count}) are done again next time"
+        )
 
 
 def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict[str, Any]:
@@ -119,7 +139,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
         "seconds": None if record is None else record.seconds,
         "peak_mb": None if record is None else record.peak_mb,
         "tries": None if record is None else record.tries,
-        "files": [n for n in (RESULT_FILE, FIGURE_FILE, HTML_FILE, EXECUTED_FILE) if (folder / n).is_file()],
+        "files": [n for n in (RESULT_FILE, FIGURE_FILE, HTML_FILE, EXECUTED_FILE) if is_file(folder / n)],
     }
 
 
@@ -143,7 +163,7 @@ def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:
 
 def _read_result(folder: Path, record: NightRecord | None) -> dict[str, Any]:
     """Return what came out; where the machine failed a picture there is no result, but a record that says why."""
-    if record is not None and record.reason and not (folder / RESULT_FILE).exists():
+    if record is not None and record.reason and not exists(folder / RESULT_FILE):
         return {"status": "failed", "messages": [record.reason]}
     try:
         result: dict[str, Any] = json_value(text_of(folder / RESULT_FILE))

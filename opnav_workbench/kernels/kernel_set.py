@@ -141,7 +141,11 @@ def _metakernel_of_name(name: str) -> Path:
 
 
 def unknown_name(name: str) -> str:
-    """Return the message for what is neither a kernel set's name nor a file: the nearest names, and all."""
+    """Return the message for what is neither a kernel set's name nor a file: the nearest names, and all; of a path, none."""
+    if Path(name).is_absolute() or name.startswith("."):
+        return (
+            f"no kernels at {name}: no such file or folder; see that its disk is there, or correct the path."
+        )
     names = known_names()
     close = difflib.get_close_matches(name, names, n=3)
     meant = f"did you mean {' or '.join(close)}? " if close else ""

@@ -299,4 +299,6 @@ def test_fetch_of_bad_input(tmp_path):
 def test_make_of_an_unknown_name_lists_the_names(tmp_path):
     with pytest.raises(KernelError, match=r"no kernels named 'pluto_opnv'.*new_horizons/pluto_opnav"):
         _run("make", "pluto_opnv", "--out", tmp_path / "none")
+    with pytest.raises(KernelError, match=r"no kernels at \S+/gone: no such file or folder; [^:]*$"):
+        _run("check", tmp_path / "gone")
     assert not (tmp_path / "none").exists()

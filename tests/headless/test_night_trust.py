@@ -1,5 +1,6 @@
 """A night that takes nothing from an analyst, notices what has changed, and tells a passing fault from a lasting one."""
 
+import errno
 import json
 import os
 import shutil
@@ -99,6 +100,40 @@ def test_a_picture_that_is_open_is_left_to_its_analyst(images, out):
 
 
 @pytest.mark.slow
+def test_a_session_that_cannot_be_read_now_is_let_be(images, out, monkeypatch):
+    """A stale handle of a file server, of one picture: the others are done."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    digest = night_module.session_digest
+
+    def stale(folder):
+        if folder == out / "a":
+            raise OSError(errno.ESTALE, os.strerror(errno.ESTALE))
+        return digest(folder)
+
+    monkeypatch.setattr(night_module, "session_digest", stale)
+    assert states(images, out, **OTHER) == {"a": "kept", "b": "new"}
+
+
+@pytest.mark.slow
+def test_a_picture_that_is_opened_while_a_night_runs_is_left_to_its_analyst(images, out):
+    """Who has decided nothing yet is known by the lock alone."""
+    night(images, out)
+    at_work: list[Analyst] = []
+
+    def meanwhile(job, folder):
+        result_of(job, folder)
+        at_work.append(Analyst(out / "a"))
+
+    made = night(images, out, StubPool(meanwhile), how=OTHER)
+    assert made_by(out) == "euler"
+    assert "open elsewhere" in made.unplaced["a"]
+    at_work[0].decide("double star")
+    at_work[0].leave()
+    assert decisions_below(out / "a") == {"double star"}
+
+
+@pytest.mark.slow
 def test_files_that_no_night_wrote_go_to_the_attic(images, out):
     night(images, out)
     (out / "a" / "notes.txt").write_text("ask the instrument team")
@@ -168,9 +203,15 @@ def test_what_was_there_for_a_moment_only_is_nobodys_result(images, out, tmp_pat
         return verdict
 
     made = night(images, out, StubPool(work))
-    assert f"{file.name} was written to while the night ran" in write_night_summary(made)["notes"][0]
+    assert (
+        f"{file.name} was written to or taken away while the night ran"
+        in write_night_summary(made)["notes"][0]
+    )
     (picture,) = plan_night(spec_of(images), out).pictures
-    assert (picture.state, picture.why) == ("new", (f"{file.name} was written to while it was processed",))
+    (why,) = picture.why
+    assert picture.state == "new"
+    assert file.name in why
+    assert "written to or taken away" in why
 
 
 def test_a_kernel_of_the_same_size_and_time_of_change_is_noticed(tmp_path):
@@ -347,7 +388,8 @@ def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
 
 @pytest.mark.parametrize("fault", ["machine", "limit"])
 def test_what_may_pass_is_tried_again(images, out, fault):
-    night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
+    made = night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
+    assert made.unarchived == []
     assert states(images, out, time_limit_s=20.0) == {"a": "new"}
     with Campaign(out) as campaign:  # a machine's fault is no picture's
         assert [entry.status for entry in campaign.entries()] == ([] if fault == "machine" else ["failed"])
@@ -376,6 +418,31 @@ def test_a_fault_of_the_machine_leaves_an_older_result_where_it_is(images, out):
 
 
 @pytest.mark.slow
+def test_what_failed_as_its_inputs_went_away_leaves_an_older_result_where_it_is(images, out):
+    """A disk of kernels or catalogs that is unmounted in the middle of a night."""
+    (images / "b.fit").write_text("picture b")
+    night(images, out)
+    catalog, away = images.parent / "one_star.npz", images.parent / "away.npz"
+
+    def work(job, folder):
+        if catalog.exists():
+            catalog.rename(away)
+        return "picture", "no catalog"
+
+    made = night(images, out, StubPool(work), how=OTHER)
+    assert {made_by(out), made_by(out, "b")} == {"euler"}
+    summary = write_night_summary(made)
+    assert summary["failed_now"] == 2
+    stands, gone = summary["notes"]  # one line each, for whatever number of pictures
+    assert stands.startswith("a, b: the machine failed it, its older result stands: no catalog (one_star.npz")
+    assert gone.startswith("one_star.npz was written to or taken away")
+    with Campaign(out) as campaign:
+        assert {entry.status for entry in campaign.entries()} == {"ok"}
+    away.rename(catalog)
+    assert states(images, out, **OTHER) == {"a": "new", "b": "new"}
+
+
+@pytest.mark.slow
 def test_what_failed_can_be_asked_for_again_and_all_by_force(images, out):
     (images / "b.fit").write_text("picture b")
     pool = StubPool(lambda job, folder: result_of(job, folder, "failed" if job.name == "a" else "ok"))
@@ -385,6 +452,18 @@ def test_what_failed_can_be_asked_for_again_and_all_by_force(images, out):
     assert states(images, out, {"force": True}) == {"a": "new", "b": "new"}
     Analyst(out / "b").decide("mine")
     assert states(images, out, {"force": True}) == {"a": "new", "b": "kept"}
+
+
+@pytest.mark.slow
+def test_a_failure_is_known_by_its_missions_name(images, out):
+    """The mission file may be the night's own, with the PSF that it has learned."""
+    file = str(load_mission("new_horizons").path)
+    made = night(images, out, StubPool(lambda job, folder: ("picture", "no image")), how={"mission": file})
+    assert (
+        made.plan.job(made.plan.pictures[0]).mission == "new_horizons"
+    )  # what a notebook's failure is written with
+    assert json.loads((out / "a" / "result.json").read_text())["mission"] == "new_horizons"
+    assert write_night_summary(made)["mission"] == "new_horizons"
 
 
 # ---- Names, lock, archive
@@ -420,13 +499,19 @@ def test_a_night_that_starts_as_another_ends_loses_nothing(images, out, monkeypa
     assert made_by(out) == "image_plane"
     monkeypatch.undo()
 
-    # And one that runs on while the first tidies up keeps its working folder.
-    def slow(job, folder):
-        assert folder.is_dir()
-        result_of(job, folder)
+    # And one that is at work while the first tidies up keeps what it has.
+    def release_then_work(self):
+        released(self)
+        if self._path.parent.name == ".work" and not at_work:
+            at_work.append(FolderLock(self._path.parent))
+            (self._path.parent / "a-1").mkdir()
 
-    other = night(images, out, StubPool(slow))
-    assert [verdict.fault for verdict in other.verdicts] == [""]
+    at_work: list[FolderLock] = []
+    monkeypatch.setattr(FolderLock, "release", release_then_work)
+    night(images, out)
+    assert (out / ".work" / "a-1").is_dir()
+    monkeypatch.undo()
+    at_work[0].release()
 
 
 @pytest.mark.slow(keep=("head",))
@@ -509,6 +594,19 @@ class Dying:
 
     def __del__(self):
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.slow
+def test_sigterm_ends_a_night_that_is_being_planned(images, out, monkeypatch):
+    """Without the handler the signal would end this process, and a job script would know nothing."""
+
+    def told(*_, **__):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(30.0)
+
+    monkeypatch.setattr(nightly, "plan_night", told)
+    status, said = run(images, out, monkeypatch, result_of)
+    assert (status, "stopped" in said) == (143, True)
 
 
 def test_a_signal_that_comes_while_garbage_is_collected_is_not_lost(monkeypatch):

@@ -399,7 +399,10 @@ def test_the_command_in_the_notebooks_heading_gives_still_pictures():
         for flag, name, value in zip(words[3::3], words[4::3], words[5::3], strict=True)
         if flag == "-p"
     }
-    assert not picture_job(parameters).interactive
+    notebook = cells_of(
+        notebooks_dir() / "process_image.ipynb"
+    )  # what the command leaves as it is counts, too
+    assert not picture_job(notebook | parameters).interactive
 
 
 def test_lab_writes_no_more_than_is_said(tmp_path):
