@@ -24,7 +24,11 @@ from opnav_workbench.workbench.actions import (
     ActionRegistry,
 )
 from opnav_workbench.workbench.circle_tool import CircleControl, DrawnCircle
-from opnav_workbench.workbench.description import DescriptionControl, DescriptionField
+from opnav_workbench.workbench.description import (
+    DescriptionControl,
+    DescriptionField,
+    description_fields,
+)
 from opnav_workbench.workbench.limb_scan_choice import (
     ScanPage,
     chosen_scans,
@@ -305,9 +309,7 @@ class BodiesTab(Tab):
         self.solve_range = False
         self.focus_scan = 0
         self._sought = False  # the center at hand was just found, and may be out of sight
-        self.circle_control = CircleControl(
-            runner, self._body_or_raise, self._by_hand_km.get, lambda name: self.description.lit(name)
-        )
+        self.circle_control = CircleControl(runner, self._body_or_raise, self._by_hand_km.get)
         self.description = DescriptionControl(runner, self._body_or_raise, self.circle_control.of)
 
     # -- what stands -------------------------------------------------------------------------------------------
@@ -395,7 +397,7 @@ class BodiesTab(Tab):
             solve_range=self.solve_range,
             prediction=prediction,
             circle=self.circle,
-            described=self.description.fields(name),
+            described=description_fields(session, name),
             tool=self.runner.tool,
             center=center_shown(centers[-1], expected, short=scans is not None) if centers else None,
             scans=None
@@ -424,23 +426,27 @@ class BodiesTab(Tab):
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
-        return self.circle_control.handlers() | self.description.handlers() | {
-            "find_body": lambda _: self.find(),
-            "next_body": lambda _: self._next_body(),
-            "body": self._picked,
-            "add_body": self._add,
-            "method": self._choose_method,
-            "solve_range": lambda _: self._toggle_range(),
-            "next_scan": lambda _: self._go_scan(+1),
-            "previous_scan": lambda _: self._go_scan(-1),
-            "look_scan": self._look_scan,
-            "scan": lambda event: self._toggle_scan(int(event["arg"])),
-            "toggle_scan": lambda _: self._toggle_scan(self.focus_scan),
-            "box_scans": lambda _: self._box_tool(),
-            "pick_scans": lambda event: self._choose([int(n) for n in event["picks"]], "box"),
-            "scans": self._typed_scans,
-            "automatic_scans": lambda _: self._choose(None, ""),
-        }
+        return (
+            self.circle_control.handlers()
+            | self.description.handlers()
+            | {
+                "find_body": lambda _: self.find(),
+                "next_body": lambda _: self._next_body(),
+                "body": self._picked,
+                "add_body": self._add,
+                "method": self._choose_method,
+                "solve_range": lambda _: self._toggle_range(),
+                "next_scan": lambda _: self._go_scan(+1),
+                "previous_scan": lambda _: self._go_scan(-1),
+                "look_scan": self._look_scan,
+                "scan": lambda event: self._toggle_scan(int(event["arg"])),
+                "toggle_scan": lambda _: self._toggle_scan(self.focus_scan),
+                "box_scans": lambda _: self._box_tool(),
+                "pick_scans": lambda event: self._choose([int(n) for n in event["picks"]], "box"),
+                "scans": self._typed_scans,
+                "automatic_scans": lambda _: self._choose(None, ""),
+            }
+        )
 
     def _body_or_raise(self) -> str:
         if not self.chosen:

@@ -5,12 +5,14 @@ The circle itself is immutable, in pixels and lines; each change of it is a sess
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.scene import apparent_radius_px
 from opnav_workbench.workbench.actions import CIRCLE, LIMB_POINTS
+from opnav_workbench.workbench.description import description_line
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, typed_number
 from opnav_workbench.workbench.viewer import Layer
 
@@ -20,7 +22,9 @@ __all__ = ["CircleControl", "CircleTool", "DrawnCircle", "typed_circle"]
 # ---- The circle, and the clicks or the drag that make it.
 
 MIN_RADIUS_PX = 1.0  # a smaller circle is two clicks on one place
-LEAST_BEND = 0.02  # height of three places over their longest side; flatter, a pixel decides how large the circle is
+LEAST_BEND = (
+    0.02  # height of three places over their longest side; flatter, a pixel decides how large the circle is
+)
 CROSS_PX = 6.0  # half the length of the crosses at places clicked
 
 
@@ -185,8 +189,6 @@ class CircleControl:
         Returns the name of the body at hand, or raises `SessionError`.
     radii_km
         Returns the radii of a body that the analyst is about to describe; None of any other.
-    lit
-        Says how a described body is lit, and how far it is.
     """
 
     def __init__(
@@ -194,10 +196,9 @@ class CircleControl:
         runner: StepRunner,
         body: Callable[[], str],
         radii_km: Callable[[str], Sequence[float] | None],
-        lit: Callable[[str], str],
     ) -> None:
         self.runner = runner
-        self._radii_km, self._lit = radii_km, lit
+        self._radii_km = radii_km
         self.tool = CircleTool()
         self._body = body
 
@@ -206,11 +207,13 @@ class CircleControl:
         state = self.runner.session.state
         circle, body = state.circles.get(name), state.assisted.get(name)
         if circle is not None:
-            return DrawnCircle(*map(float, circle.center_px), float(circle.radius_px))
+            return DrawnCircle(
+                float(circle.center_px[0]), float(circle.center_px[1]), float(circle.radius_px)
+            )
         if body is None:
             return None
         radius = apparent_radius_px(body, self.runner.session.context.camera)
-        return DrawnCircle(*map(float, body.center_px), round(radius, 3))
+        return DrawnCircle(float(body.center_px[0]), float(body.center_px[1]), round(radius, 3))
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -251,10 +254,10 @@ class CircleControl:
                 return
             # Another size tells another range; a circle that is moved alone keeps the one that was stated.
             resized = circle.radius_px != present.radius_px
-            size = {"radius_px": circle.radius_px, "range_km": None} if resized else {}
+            size: dict[str, Any] = {"radius_px": circle.radius_px, "range_km": None} if resized else {}
             session.describe_again(name, center_px=circle.center_px, **size)
 
-        self.runner.run("describing the body", work, lambda: f"{name}: {self._lit(name)}; F finds its center.")
+        self.runner.run("describing the body", work, lambda: description_line(session, name))
 
     def tapped(self, pixel: float, line: float) -> None:
         """Take the click on the center, or on the limb."""

@@ -8,19 +8,20 @@ Units  px, deg, km
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from opnav_workbench.errors import CenterfindingError, SessionError
-from opnav_workbench.scene import AssistedBody, phase_at_terminator
+from opnav_workbench.scene import phase_at_terminator
+from opnav_workbench.session import ImageSession
 from opnav_workbench.workbench.actions import SUN, TERMINATOR
-from opnav_workbench.workbench.circle_tool import DrawnCircle
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, typed_number
 
-__all__ = ["DescriptionControl", "DescriptionField", "direction_deg"]
+__all__ = ["DescriptionControl", "DescriptionField", "description_fields", "description_line"]
 
-LEAST_STEP_PX = 2.0  # a shorter one has no direction that a hand could mean
-BY_CLICK = "by click"
+
+# ---- What stands of a body that is described.
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,46 @@ class DescriptionField:
     text: str
     unit: str
     tooltip: str
+
+
+def description_fields(session: ImageSession, name: str) -> list[DescriptionField]:
+    """Return what can be typed of a described body; nothing of any other."""
+    body = session.state.assisted.get(name)
+    if body is None:
+        return []
+    phase, sun = np.degrees(body.phase_rad), np.degrees(body.sun_angle_rad) % 360.0
+    far, sigma = session.inputs.targets[name].range_km, np.degrees(body.lighting_sigma_rad)
+    return [
+        DescriptionField("phase_deg", "phase", f"{phase:.0f}", "°", "Angle Sun - body - camera"),
+        DescriptionField("sun_deg", "Sun toward", f"{sun:.0f}", "°", "Counted from right toward down"),
+        DescriptionField("range_km", "range", f"{far:.4g}", " km", "To the body's center; its size follows"),
+        DescriptionField(
+            "lighting_sigma_deg", "Sun ±", f"{sigma:.3g}", "°", "How far it may stand from there"
+        ),
+    ]
+
+
+def description_line(session: ImageSession, name: str) -> str:
+    """How a described body is lit, and how far it is, in one line."""
+    told = ", ".join(f"{f.label} {f.text}{f.unit}" for f in description_fields(session, name)[:3])
+    return f"{name}: {told}; F finds its center."
+
+
+# ---- What the analyst says of it.
+
+LEAST_STEP_PX = 2.0  # a shorter one has no direction that a hand could mean
+
+
+class Round(Protocol):
+    """A circle as it is drawn."""
+
+    @property
+    def center_px(self) -> tuple[float, float]:
+        """Center (pixel, line)."""
+
+    @property
+    def radius_px(self) -> float:
+        """Radius."""
 
 
 def direction_deg(pixel0: float, line0: float, pixel1: float, line1: float) -> float:
@@ -67,37 +108,10 @@ class DescriptionControl:
     """
 
     def __init__(
-        self, runner: StepRunner, body: Callable[[], str], circle: Callable[[str], DrawnCircle | None]
+        self, runner: StepRunner, body: Callable[[], str], circle: Callable[[str], Round | None]
     ) -> None:
         self.runner = runner
         self._body, self._circle = body, circle
-
-    def of(self, name: str) -> AssistedBody | None:
-        """Return the description of a body; None of one that an ephemeris has."""
-        return self.runner.session.state.assisted.get(name)
-
-    def lit(self, name: str) -> str:
-        """How a described body is lit, and how far it is, in words; empty of any other."""
-        return ", ".join(f"{f.label} {f.text}{f.unit}" for f in self.fields(name)[:3])
-
-    def fields(self, name: str) -> list[DescriptionField]:
-        """Return what can be typed of a described body; nothing of any other."""
-        body = self.of(name)
-        if body is None:
-            return []
-        target = self.runner.session.inputs.targets[name]
-        sun, phase = np.degrees(body.sun_angle_rad) % 360.0, np.degrees(body.phase_rad)
-        sigma = np.degrees(body.lighting_sigma_rad)
-        return [
-            DescriptionField("phase_deg", "phase", f"{phase:.0f}", "°", "Angle Sun - body - camera"),
-            DescriptionField("sun_deg", "Sun toward", f"{sun:.0f}", "°", "Counted from right toward down"),
-            DescriptionField(
-                "range_km", "range", f"{target.range_km:.4g}", " km", "To the body's center; instead of a radius"
-            ),
-            DescriptionField(
-                "lighting_sigma_deg", "Sun ±", f"{sigma:.3g}", "°", "How far the Sun may stand from there"
-            ),
-        ]
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -110,19 +124,18 @@ class DescriptionControl:
     def tapped(self, pixel: float, line: float) -> None:
         """Take the click toward the Sun, or on the terminator."""
         name = self._described()
-        body, circle = self.of(name), self._circle(name)
-        assert body is not None
+        circle = self._circle(name)
         assert circle is not None  # a described body has one
         if self.runner.tool == SUN:
-            self._say(name, BY_CLICK, sun_deg=direction_deg(*circle.center_px, pixel, line))
+            self._say(name, "by click", sun_deg=direction_deg(*circle.center_px, pixel, line))
             return
+        sun_rad = self.runner.session.state.assisted[name].sun_angle_rad
+        place, center = np.array([pixel, line]), np.array(circle.center_px)
         try:
-            phase_rad = phase_at_terminator(
-                np.array(circle.center_px), circle.radius_px, body.sun_angle_rad, np.array([pixel, line])
-            )
+            phase_rad = phase_at_terminator(center, circle.radius_px, sun_rad, place)
         except CenterfindingError as error:
             raise SessionError(f"{name}: {error}") from error
-        self._say(name, BY_CLICK, phase_deg=round(float(np.degrees(phase_rad)), 2))
+        self._say(name, "by click", phase_deg=round(float(np.degrees(phase_rad)), 2))
 
     def dragged(self, pixel0: float, line0: float, pixel1: float, line1: float) -> None:
         """Take a drag toward the Sun."""
@@ -131,23 +144,23 @@ class DescriptionControl:
     def _typed(self, event: PageEvent) -> None:
         key, number = str(event["arg"]), typed_number(str(event["value"]))
         if number is None:
-            raise SessionError(f"{key.split('_')[0]} must be a number, not {event['value']!r}.")
+            raise SessionError(f"{key.partition('_')[0]} must be a number, not {event['value']!r}.")
         # A size follows from the range, and a range from the size: what was said last holds.
         instead = {"radius_px": None} if key == "range_km" else {}
         self._say(self._described(), "typed", **{key: number}, **instead)
 
-    def _say(self, name: str, reason: str, **changed: float | None) -> None:
+    def _say(self, name: str, reason: str, **changed: Any) -> None:
         self.runner.tool = ""
         session = self.runner.session
         self.runner.run(
             "describing the body",
             lambda: session.describe_again(name, reason=reason, **changed),
-            lambda: f"{name}: {self.lit(name)}; F finds its center.",
+            lambda: description_line(session, name),
         )
 
     def _described(self) -> str:
         name = self._body()
-        if self.of(name) is None:
+        if name not in self.runner.session.state.assisted:
             raise SessionError(
                 f"how {name} is lit, and how far it is, its ephemeris tells; only a body that is described by "
                 "its circle (add it with its radius: NIX 22 km) has these to be said."

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import SessionError
+from opnav_workbench.scene import phase_at_terminator
 from opnav_workbench.session.decisions import Decisions
 from opnav_workbench.workbench.circle_tool import CircleTool, DrawnCircle, typed_circle
+from opnav_workbench.workbench.overlays import body_marks
 from opnav_workbench.workbench.pointing_tab import TwoStarMarks
 
 
@@ -85,6 +87,7 @@ def test_a_body_that_no_kernel_knows_is_described_by_its_circle(star_hands):
     assert not star_hands.session.state.assisted
 
 
+@pytest.mark.slow
 def test_three_places_on_a_limb_make_its_circle(body_hands):
     places = [(80.0 + 25.0 * np.cos(turn), 60.0 + 25.0 * np.sin(turn)) for turn in (0.1, 1.3, 2.9)]
     steps = body_hands.steps
@@ -104,6 +107,7 @@ def test_three_places_on_a_limb_make_its_circle(body_hands):
     assert body_hands.steps == steps
 
 
+@pytest.mark.slow
 def test_sun_phase_and_range_of_a_described_body_by_hand(star_hands):
     """By click, drag and field: each one step, one undo, and the words of a file of decisions."""
     star_hands.press("3")
@@ -130,6 +134,10 @@ def test_sun_phase_and_range_of_a_described_body_by_hand(star_hands):
     star_hands.tap(300.0 + 20.0 * np.sqrt(0.5), 60.0 + 20.0 * np.sqrt(0.5))
     body = star_hands.session.state.assisted["VULCAN"]
     np.testing.assert_allclose(np.degrees([body.sun_angle_rad, body.phase_rad]), [45.0, 120.0], atol=0.01)
+    (mark,) = [m for m in body_marks(star_hands.session) if m.name == "VULCAN"]
+    drawn = np.asarray(mark.terminator_px)[len(mark.terminator_px) // 3]
+    told = phase_at_terminator(np.array([300.0, 60.0]), 40.0, body.sun_angle_rad, drawn)
+    assert np.degrees(told) == pytest.approx(120.0, abs=0.5)  # drawn from the model, by another route
     far = 2.0 * star_hands.session.inputs.targets["VULCAN"].range_km
     star_hands.send("description_field", arg="range_km", value=f"{far:.3f}")
     assert star_hands.session.inputs.targets["VULCAN"].range_km == pytest.approx(far, rel=1e-9)
@@ -148,13 +156,14 @@ def test_sun_phase_and_range_of_a_described_body_by_hand(star_hands):
     assert kept == {"center_px": [300.0, 61.0], "phase_deg": 120.0, "sun_deg": 45.0, "range_km": None}
     added = star_hands.steps[len(steps) :]
     assert added == ["describe_body"] * 6
-    (item,) = [b for b in Decisions.from_session(star_hands.session).images.values()][0].bodies[-1:]
+    (item,) = next(iter(Decisions.from_session(star_hands.session).images.values())).bodies[-1:]
     assert (item.body, item.phase_deg, item.sun_deg) == ("VULCAN", 120.0, 45.0)
     star_hands.press(*["Ctrl+z"] * len(added))
     assert star_hands.steps == steps
     assert star_hands.session.state.assisted["VULCAN"].phase_rad == by_eye.phase_rad
 
 
+@pytest.mark.slow
 def test_the_sun_of_a_body_that_kernels_know_is_not_said_by_hand(body_hands):
     for key in ("a", "p"):
         body_hands.press(key)
