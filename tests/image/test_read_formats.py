@@ -518,7 +518,8 @@ def test_gzipped_pds3(tmp_path, detached):
     pixels = PIXELS.astype(">u2").tobytes()
     label = (
         f"PDS_VERSION_ID = PDS3\r\nRECORD_BYTES = 1024\r\n^IMAGE = {'A.DAT' if detached else 2}\r\nOBJECT = IMAGE\r\n"
-        " LINES = 12\r\n LINE_SAMPLES = 20\r\n SAMPLE_TYPE = MSB_UNSIGNED_INTEGER\r\n SAMPLE_BITS = 16\r\nEND_OBJECT\r\nEND\r\n"
+        " LINES = 12\r\n LINE_SAMPLES = 20\r\n SAMPLE_TYPE = MSB_UNSIGNED_INTEGER\r\n SAMPLE_BITS = 16\r\n"
+        "END_OBJECT\r\nEND\r\n"
     ).encode()
     path = tmp_path / ("a.lbl" if detached else "a.img.gz")
     path.write_bytes(label if detached else gzip.compress(label.ljust(1024) + pixels))

@@ -98,7 +98,12 @@ def _reals_and_large(name: str, data: bytes) -> StoredPicture | None:
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages.first
-            if len(page.shape) != 2 or page.samplesperpixel != 1 or page.dtype.kind not in "uif":
+            if (
+                len(page.shape) != 2
+                or page.samplesperpixel != 1
+                or page.dtype is None
+                or page.dtype.kind not in "uif"
+            ):
                 return None
             check_size(name, page.size)
             values, frames = np.asarray(page.asarray()), len(file.pages)
