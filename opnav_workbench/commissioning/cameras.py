@@ -1,6 +1,7 @@
 """The camera that took a picture, from instrument kernels, image support data or a few numbers."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,18 +9,29 @@ from typing import Any
 
 import numpy as np
 
+from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin, RowTiming
 from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.constants import RAD_PER_DEG
 from opnav_workbench.errors import CameraError, MissionError, OpNavError
 from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
 
-__all__ = ["Numbers", "camera_of_kernels", "camera_of_numbers", "camera_of_support_data", "with_rows"]
+__all__ = [
+    "NO_WORDS",
+    "Numbers",
+    "PictureWords",
+    "camera_of_kernels",
+    "camera_of_numbers",
+    "camera_of_support_data",
+    "with_rows",
+]
 
-SHOWN = 8  # instruments named in an error
+SHOWN = 16  # instruments named in an error: more than a filter wheel has
 FEW = 3  # numbers of each
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
 MOST_CROSS_PX = 60.0
+ALIKE_PX = 0.01  # filters whose pictures differ by less are one camera
+NETWORK = 5  # places along each side that this is asked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +52,27 @@ class Numbers:
         return self.size or (None if shape is None else (shape[1], shape[0]))
 
 
+@dataclass(frozen=True, slots=True)
+class PictureWords:
+    """What a picture's header says of the camera and the filter that took it; empty where nothing."""
+
+    instruments: tuple[str, ...] = ()
+    filters: tuple[str, ...] = ()
+
+
+NO_WORDS = PictureWords()
+
+
 def camera_of_kernels(
-    kernels: Sequence[str | Path], wanted: str | None, shape: tuple[int, int] | None, numbers: Numbers
+    kernels: Sequence[str | Path],
+    wanted: str | None,
+    shape: tuple[int, int] | None,
+    numbers: Numbers,
+    words: PictureWords = NO_WORDS,
 ) -> Camera:
-    """Return the camera that instrument kernels describe: the one wanted, or the only one of the picture's size.
+    """Return the camera that instrument kernels describe: the one wanted, else the one that a picture tells.
+
+    A picture tells by its size, and by its words for instrument and filter; filters of the same optics are one camera.
 
     Parameters
     ----------
@@ -53,6 +82,8 @@ def camera_of_kernels(
         Lines and pixels of the picture.
     numbers
         Stand in for what the kernels do not give.
+    words
+        Of the picture's header.
 
     Raises
     ------
@@ -65,7 +96,7 @@ def camera_of_kernels(
         given["focal_length_mm"] = numbers.focal_mm
     found: list[Camera] = []
     fitted: list[Camera] = []
-    refused: list[str] = []
+    refused: dict[str, list[int]] = {}
     with KernelSet(kernels):
         for number in instrument_ids():
             values = instrument_values(number)
@@ -77,20 +108,95 @@ def camera_of_kernels(
                 try:
                     fitted.append(_fitted(values, number, size, given, error))
                 except OpNavError as why:
-                    refused.append(f"{number}: {why}")
+                    # What follows says it to callers in Python; what to do here is said below.
+                    refused.setdefault(str(why).partition(";")[0].rstrip("."), []).append(number)
     if shape is not None and wanted is None:
         found = _of_size(found, shape, or_refuse=not fitted)
     if len(found) == 1 and shape is not None and not numbers.scans:
         _check_size(found[0], shape, kernels)
     found = found or fitted  # one that states its size comes before one that takes the picture's
-    if len(found) == 1:
-        return _with_pointing(found[0])
     if not found:
-        raise CameraError(f"no camera in these kernels: {'; '.join(refused[:3]) or 'no instrument'}")
-    raise CameraError(
-        f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
-        f" --instrument {found[0].instrument_id} (filters and modes of a camera have numbers of their own)."
-    )
+        raise CameraError(_nothing_found(refused, size))
+    return _with_pointing(_the_one(found, words))
+
+
+def _nothing_found(refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None) -> str:
+    """Say why no instrument of the kernels (numbers by reason) is a camera, and what cures it."""
+    if not refused:
+        return "no camera in these kernels: no instrument (or none of that number or name)."
+    remedy = "give the numbers that are missing, or the kernel that has them, too (another --ik)"
+    if any("PIXEL_SAMPLES" in why for why in refused) and size is None:
+        remedy = "give a picture (--image) or --size 1024x1024; beside an ISIS addendum its IK is needed, too (--ik)"
+    elif any("FOV_FRAME" in why for why in refused):
+        remedy = "an addendum alone makes no camera: give the instrument kernel that it belongs to, too (another --ik)"
+    reasons = [f"{why} ({_listed(numbers)})" for why, numbers in list(refused.items())[:FEW]]
+    return f"no camera in these kernels: {'; '.join(reasons)}; {remedy}."
+
+
+# ---- Which one of several: what the picture says, and what is alike.
+
+
+def _the_one(found: Sequence[Camera], words: PictureWords) -> Camera:
+    """Return the camera that a picture's words leave; filters of the same optics are one.
+
+    Raises
+    ------
+    CameraError
+        Several are left; they are named.
+    """
+    why: list[str] = []
+    for word in words.instruments:
+        named = [camera for camera in found if _squeezed(word) in _squeezed(camera.name + " " + camera.frame)]
+        if _squeezed(word) and 0 < len(named) < len(found):
+            found = named
+            why.append(f"the picture's instrument is {word}")
+    for word in words.filters:
+        of_filter = _of_filter(found, word)
+        if 0 < len(of_filter) < len(found):
+            found = of_filter
+            why.append(f"the picture's filter is {word}")
+    first = min(found, key=lambda camera: abs(camera.instrument_id))
+    others = [camera for camera in found if camera is not first]
+    if not all(_alike(first, other) for other in others):
+        raise CameraError(
+            f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
+            f" --instrument {first.instrument_id} (filters and modes of a camera have numbers of their own)."
+        )
+    if others:
+        why.append(f"{_listed([other.instrument_id for other in others])} see the same to {ALIKE_PX:g} px")
+    if not why:
+        return first
+    told = Origin("instrument_id", "derived", f"{first.instrument_id}: {'; '.join(why)}")
+    return replace(first, origins=(*first.origins, told))
+
+
+def _squeezed(text: str) -> str:
+    return re.sub(r"[^A-Z0-9]", "", text.upper())
+
+
+def _of_filter(found: Sequence[Camera], word: str) -> list[Camera]:
+    """Cameras of a filter: by the last part of their names, or by its number, which NAIF puts into the last digit."""
+    named = [c for c in found if word.upper() == re.split(r"[^A-Z0-9]", c.name.upper())[-1]]
+    number = int(word) if word.isdigit() and int(word) < 10 else None
+    if named or number is None:
+        return named
+    base = {camera.instrument_id for camera in found if camera.instrument_id % 10 == 0}
+    return [camera for camera in found if camera.instrument_id + number in base]
+
+
+def _alike(camera: Camera, other: Camera) -> bool:
+    """Whether two cameras see every direction at the same place."""
+    if (camera.n_pixel, camera.n_line, camera.frame) != (other.n_pixel, other.n_line, other.frame):
+        return False
+    across, down = (np.linspace(0.0, n - 1.0, NETWORK) for n in (camera.n_pixel, camera.n_line))
+    places: FloatArray = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    apart = np.linalg.norm(other.project(camera.unproject(places)) - places, axis=1)
+    return bool(np.all(apart < ALIKE_PX))
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
+    return ", ".join(map(str, numbers[:SHOWN])) + more
 
 
 def _of_size(every: Sequence[Camera], shape: tuple[int, int], *, or_refuse: bool) -> list[Camera]:

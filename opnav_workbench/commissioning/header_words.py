@@ -13,7 +13,7 @@ from opnav_workbench.camera.origins import How
 from opnav_workbench.image import Header, KeywordMap
 from opnav_workbench.image.header import OF_UNIT, stated_unit_s
 
-__all__ = ["HeaderWords", "header_words"]
+__all__ = ["HeaderWords", "header_words", "instrument_words"]
 
 EXPOSURES = {  # scale to seconds; None: the word itself does not say
     "XPOSURE": 1.0, "EXPTIME": 1.0, "EXPOSURE_S": 1.0, "EXPOSURE_DURATION": None, "EXPOSUREDURATION": None, "EXPOSURE": None,
@@ -47,6 +47,7 @@ INSTRUMENTS = (
     "INSTRU",
     "DETECTOR",
 )
+FILTERS = ("FILTER_NUMBER", "FILTERNUMBER", "FILTER_NAME", "FILTERNAME", "FILTER")
 CRAFTS = (
     "INSTRUMENT_HOST_NAME", "SPACECRAFT_NAME", "SPACECRAFTNAME", "TELESCOP", "HOSTNAME", "MISSION", "MISSION_NAME",
 )  # fmt: skip
@@ -105,6 +106,20 @@ def header_words(values: Mapping[str, Any]) -> HeaderWords:
     instrument = keywords.get("instrument")
     match = {} if instrument is None else {instrument: header[instrument]}
     return HeaderWords(keywords, match, str(header[craft]) if craft else "", utc, exposure_s, tuple(origins))
+
+
+def instrument_words(header: Header) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what a header says of the instrument, and of the filter, that took its picture.
+
+    Examples
+    --------
+    >>> instrument_words(Header({"INSTRUMENT_ID": "FC2", "FILTER_NUMBER": "6"}))
+    (('FC2',), ('6',))
+    """
+    instruments, filters = (
+        [str(header[name]).strip() for name in names if name in header] for names in (INSTRUMENTS, FILTERS)
+    )
+    return tuple(filter(None, instruments)), tuple(filter(None, filters))
 
 
 def _first(header: Header, names: tuple[str, ...]) -> str:

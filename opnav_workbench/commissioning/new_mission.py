@@ -15,7 +15,9 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera, Origin, PsfPrior
 from opnav_workbench.catalog import open_catalog
 from opnav_workbench.commissioning.cameras import (
+    NO_WORDS,
     Numbers,
+    PictureWords,
     camera_of_kernels,
     camera_of_numbers,
     camera_of_support_data,
@@ -29,7 +31,7 @@ from opnav_workbench.commissioning.files import (
     write_mission,
     write_scenario,
 )
-from opnav_workbench.commissioning.header_words import HeaderWords, header_words
+from opnav_workbench.commissioning.header_words import HeaderWords, header_words, instrument_words
 from opnav_workbench.commissioning.orientation import (
     Orientation,
     orientation_by_limb,
@@ -189,7 +191,7 @@ def _made(wanted: Wanted, say: Callable[[str], None]) -> NewMission:
         return _Maker(wanted, _craft(wanted, camera, told), {}, say).without_picture(camera)
     shape, header = _looked_at(wanted.image)
     words = header_words(header)
-    camera, told = _camera(wanted, shape)
+    camera, told = _camera(wanted, shape, PictureWords(*instrument_words(header)))
     maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft or told), words.match, say)
     made = maker.with_picture(camera, wanted.image, words)
     return replace(made, known_mission=_known_mission(header))
@@ -219,12 +221,14 @@ def _looked_at(image: Path) -> tuple[tuple[int, int], Header]:
     return (int(lines), int(pixels)), Header(stored.header)
 
 
-def _camera(wanted: Wanted, shape: tuple[int, int] | None) -> tuple[Camera, str]:
+def _camera(
+    wanted: Wanted, shape: tuple[int, int] | None, words: PictureWords = NO_WORDS
+) -> tuple[Camera, str]:
     """The camera, and the spacecraft's name where what describes the camera tells it."""
     if wanted.support_data is not None:
         return camera_of_support_data(wanted.support_data, wanted.name, shape)
     if wanted.instrument_kernels:
-        camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers)
+        camera = camera_of_kernels(wanted.instrument_kernels, wanted.instrument, shape, wanted.numbers, words)
     else:
         camera = camera_of_numbers(wanted.name, -(INVENTED * 1000 + 100), shape, wanted.numbers)
     camera = with_rows(camera, wanted.numbers)

@@ -5,6 +5,8 @@ picture's status ``partial``, and is never silently believed: what takes the pla
 What takes kernels to tell stands in ``session.contradictions``.
 
 Times       differ by more than their last printed digits, and the 0.05 ms by which implementations of TDB differ
+Order       after the picture reached the Earth, or more than a day after its file was made; another of its times outside
+            its begin and end
 Exposure    longer than a day, or than the span that the header states; that longer than a day; its middle outside it; of a
             frame camera also a thousandth of the span: milliseconds for seconds
 Position    inside the Sun, or farther from it than a thousand astronomical units: kilometers are meant
@@ -17,7 +19,7 @@ Attitude    four numbers that are no rotation (`opnav_workbench.image.header`)
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import erfa
@@ -40,6 +42,8 @@ __all__ = [
     "believed_state",
     "check_exposure",
     "check_frame_exposure",
+    "check_order",
+    "check_sun_distance",
     "earth_is_off",
     "printed_unit_s",
     "time_tolerance_s",
@@ -91,6 +95,52 @@ def printed_unit_s(value: object) -> float:
 def time_tolerance_s(*stated: object) -> float:
     """Return by how much statements of one time may differ: their last printed digits and the scales' own difference."""
     return sum(printed_unit_s(value) for value in stated) + TIME_SCALES_S
+
+
+# What labels (PDS; ISIS without the underscores) call later events, the first first, and by how much their times may be
+# early: files carry local times, and dates without a time.
+LATER_WORDS = {
+    "EARTH_RECEIVED_START_TIME": 0.0,
+    "EARTH_RECEIVED_TIME": 0.0,
+    "EARTH_RECEIVED_STOP_TIME": 0.0,
+    "PRODUCT_CREATION_TIME": DAY_S,
+}
+OWN_WORDS = ("IMAGE_TIME", "IMAGE_MID_TIME")  # other times of the picture itself
+
+
+def check_order(
+    et: float,
+    seconds_of: Callable[[str], tuple[object, float] | None],
+    span: tuple[float, float] | None,
+    tolerance_s: float,
+) -> list[str]:
+    """Return which of a header's other times contradict that of the picture.
+
+    Parameters
+    ----------
+    et
+        Of the picture, TDB s past J2000.
+    seconds_of
+        Returns what a header says under a word, and the same in TDB s past J2000; None where it says no time.
+    span, tolerance_s
+        When the exposure began and ended on the same scale, and what the digits leave open.
+    """
+    said = []
+    for word, early_s in LATER_WORDS.items():
+        found = seconds_of(word)
+        if found is not None and et > found[1] + early_s + time_tolerance_s(found[0]):
+            said.append(
+                f"the picture was taken {et - found[1]:.6g} s after {word} = {found[0]}, as the header states both"
+            )
+            break
+    for word in OWN_WORDS if span is not None else ():
+        found = seconds_of(word)
+        if found is None or span is None:
+            continue
+        slack_s = tolerance_s + printed_unit_s(found[0]) + SHUTTER_S
+        if not span[0] - slack_s <= found[1] <= span[1] + slack_s:
+            said.append(f"{word} = {found[0]} lies outside the header's begin and end")
+    return said
 
 
 # ---- Exposure, against itself and against the span that the header states.
@@ -223,6 +273,18 @@ def believed_state(
         said.append(f"{keywords[1]} state a velocity {wrong}; it is not used")
         velocity_km_s = np.zeros(3)
     return BelievedState(position_km, velocity_km_s, sigma, tuple(said))
+
+
+def check_sun_distance(place_km: FloatArray | None, distance_km: float | None, word: str) -> tuple[str, ...]:
+    """Return how a place with respect to the Sun and a distance that is stated beside it contradict each other."""
+    if place_km is None or distance_km is None or not math.isfinite(distance_km) or not place_km.any():
+        return ()
+    stated = float(np.linalg.norm(place_km))
+    if abs(stated - distance_km) <= EARTH_KM:
+        return ()
+    return (
+        f"{word} is {distance_km:.6g} km, but the Sun's position in the header is {stated:.6g} km; the latter is used",
+    )
 
 
 def unknown_velocity_sigma_km_s(distance_km: float = MERCURY_PERIHELION_KM) -> float:

@@ -31,7 +31,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.constants import AU_KM, DAY_S, J2000_JD
 from opnav_workbench.errors import MissionError
 from opnav_workbench.geometry import matrix_from_quaternion
-from opnav_workbench.image.contradictions import believed_state
+from opnav_workbench.image.contradictions import believed_state, check_sun_distance
 from opnav_workbench.image.masks import QUALITY_TABLES
 
 __all__ = [
@@ -447,6 +447,9 @@ def unread_words(header: Header, keywords: KeywordMap, names: Sequence[str]) -> 
     return tuple(said)
 
 
+SUN_DISTANCE = "SPACECRAFT_SOLAR_DISTANCE"  # km: the PDS data dictionary's word
+
+
 def header_geometry(header: Header, keywords: KeywordMap, times: Sequence[float] = ()) -> GeometryRead:
     """Return what the header says of pointing and trajectory, as far as it can be believed.
 
@@ -483,7 +486,9 @@ def header_geometry(header: Header, keywords: KeywordMap, times: Sequence[float]
     boresight = _boresight(header, keywords)
     nowhere = () if boresight is None else _no_direction(boresight, keywords)
     boresight = None if nowhere else boresight
-    contradictions = (*wrong, *nowhere, *unread, *state.contradictions)
+    distance_km = header_number(keywords.known(header, SUN_DISTANCE))
+    apart = check_sun_distance(state.position_km, distance_km, SUN_DISTANCE)
+    contradictions = (*wrong, *nowhere, *unread, *state.contradictions, *apart)
     if attitude is None and boresight is None and state.position_km is None:
         return GeometryRead(None, messages, contradictions)
     geometry = HeaderGeometry(

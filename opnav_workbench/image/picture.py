@@ -25,7 +25,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.errors import ImageError, plain_line
 from opnav_workbench.files import sha256_of
 from opnav_workbench.geometry.times import et_from_text, text_from_et
-from opnav_workbench.image.contradictions import check_exposure, time_tolerance_s
+from opnav_workbench.image.contradictions import check_exposure, check_order, time_tolerance_s
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats import StoredPicture, read_stored
 from opnav_workbench.image.header import (
@@ -153,6 +153,7 @@ def picture_from_stored(
     sclk = keywords.value(header, "sclk")
     wrong = (
         *_exposure_contradictions(header, keywords, exposure_s, time),
+        *_order_contradictions(header, keywords, time),
         *read.contradictions,
         *unread_units(header, keywords),
         *_clock_contradictions(header, keywords, sclk),
@@ -356,6 +357,23 @@ def _exposure_contradictions(
     if time.et is not None and all(isinstance(value, str) for value in span.stated):
         tolerance_s, middle_s = time_tolerance_s(*span.stated, time.utc), time.et
     return check_exposure(keywords.exposure_s, exposure_s, span.seconds, tolerance_s, middle_s)
+
+
+def _order_contradictions(header: Header, keywords: KeywordMap, time: _StatedTime) -> list[str]:
+    if time.et is None:
+        return []
+
+    def seconds_of(word: str) -> tuple[HeaderValue, float] | None:
+        names = [name for name in (word, word.replace("_", "")) if name not in (keywords.utc, keywords.et)]
+        value = next((v for name in names if (v := keywords.known(header, name)) is not None), None)
+        seconds = _seconds(value, "utc") if isinstance(value, str) else None
+        return None if value is None or seconds is None else (value, seconds)
+
+    span = stated_span(header, keywords)
+    calendar = span is not None and all(isinstance(value, str) for value in span.stated)
+    known = span if calendar else None  # a clock's counts are on no common scale
+    tolerance_s = 0.0 if known is None else time_tolerance_s(*known.stated)
+    return check_order(time.et, seconds_of, None if known is None else known.seconds, tolerance_s)
 
 
 class StatedSpan(NamedTuple):

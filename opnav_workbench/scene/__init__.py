@@ -30,7 +30,13 @@ from opnav_workbench.scene.following import (
 )
 
 if TYPE_CHECKING:
-    from opnav_workbench.scene.assisted import AssistedBody, assisted_target, picture_axes
+    from opnav_workbench.scene.assisted import (
+        AssistedBody,
+        apparent_radius_px,
+        assisted_target,
+        phase_at_terminator,
+        picture_axes,
+    )
     from opnav_workbench.scene.body_geometry import BodyGeometry
     from opnav_workbench.scene.epoch_report import CameraPointing, GeometryReport, geometry_report
     from opnav_workbench.scene.prediction import (
@@ -53,7 +59,9 @@ else:  # loaded on first use: most calls need a few of these
         __name__,
         {
             "AssistedBody": "assisted",
+            "apparent_radius_px": "assisted",
             "assisted_target": "assisted",
+            "phase_at_terminator": "assisted",
             "picture_axes": "assisted",
             "BodyGeometry": "body_geometry",
             "CameraPointing": "epoch_report",
@@ -81,6 +89,7 @@ __all__ = [
     "GeometryReport",
     "Observer",
     "StarPrediction",
+    "apparent_radius_px",
     "apparent_stars",
     "assisted_target",
     "body_target",
@@ -89,6 +98,7 @@ __all__ = [
     "geometry_report",
     "observer_from_header",
     "observer_from_kernels",
+    "phase_at_terminator",
     "picture_axes",
     "predict_body",
     "predict_stars",

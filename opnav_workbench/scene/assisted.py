@@ -18,11 +18,12 @@ from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.geometry import geometric_direction, unit
 from opnav_workbench.targets import TargetState
 
-__all__ = ["AssistedBody", "assisted_target", "picture_axes"]
+__all__ = ["AssistedBody", "apparent_radius_px", "assisted_target", "phase_at_terminator", "picture_axes"]
 
 CIRCLE_SIGMA = 0.1  # of a circle's radius, and so of a range that follows from it
 STATED_RANGE_SIGMA = 1e-3  # of a range that is stated: a label's, or a plan's
 LIGHTING_SIGMA_RAD = float(np.radians(5.0))  # what the eye, or the light of a mottled disk, tells of the Sun
+NEAREST_HORN = 0.9  # of the radius: nearer to a tip of the terminator a place tells little of the phase
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,6 +177,73 @@ def assisted_target(
     )
 
 
+def apparent_radius_px(body: AssistedBody, camera: Camera) -> float:
+    """Return how large a body looks: as it was drawn, or as its range says.
+
+    Raises
+    ------
+    CenterfindingError
+        The camera model does not cover the place.
+
+    Examples
+    --------
+    >>> from opnav_workbench.resources import kernels_meta_dir
+    >>> camera = Camera.from_yaml(kernels_meta_dir() / "generic/cameras/pinhole.yaml")
+    >>> body = AssistedBody([300.0, 400.0], [252.0] * 3, 0.8, 3.1, range_km=504002.0)
+    >>> round(apparent_radius_px(body, camera), 3)
+    50.0
+    """
+    if body.radius_px is not None and body.range_km is None:
+        return body.radius_px
+    assert body.range_km is not None
+    toward = camera.unproject(body.center_px[None])[0]
+    if not np.isfinite(toward).all():
+        raise CenterfindingError(
+            f"{body.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
+        )
+    rad_per_px = _rad_per_px(picture_axes(camera, body.center_px, toward))
+    return float(np.arcsin(body.mean_radius_km / body.range_km)) / rad_per_px
+
+
+def phase_at_terminator(
+    center_px: FloatArray, radius_px: float, sun_angle_rad: float, place_px: FloatArray
+) -> float:
+    """Return the phase angle (rad) of a sphere whose terminator passes through a place.
+
+    The terminator is half an ellipse: where the limb is w = sqrt(r^2 - v^2) from the line through the center that is
+    square to the Sun, it is -w cos(phase), toward the Sun counted positive; v is measured along that line.
+
+    Parameters
+    ----------
+    center_px, place_px : (2,) array
+        (pixel, line).
+    sun_angle_rad
+        Direction toward the Sun in the picture, from +pixel toward +line.
+
+    Raises
+    ------
+    CenterfindingError
+        The place lies outside the disk, or so near to a horn that it tells no phase.
+
+    Examples
+    --------
+    >>> round(float(np.degrees(phase_at_terminator([100.0, 80.0], 50.0, 0.0, [125.0, 80.0]))), 6)
+    120.0
+    """
+    off = np.asarray(place_px, dtype=float) - np.asarray(center_px, dtype=float)
+    sun = np.array([np.cos(sun_angle_rad), np.sin(sun_angle_rad)])
+    along, across = float(off @ sun) / radius_px, float(off @ [-sun[1], sun[0]]) / radius_px
+    if abs(across) > NEAREST_HORN:
+        raise CenterfindingError(
+            "that place is beside the disk, or at a horn, where every phase has its terminator; "
+            "take one nearer to the line from the Sun through the center."
+        )
+    cosine = -along / float(np.sqrt(1.0 - across**2))
+    if abs(cosine) > 1.0:
+        raise CenterfindingError("that place is outside the circle; the terminator lies within.")
+    return float(np.arccos(cosine))
+
+
 def picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> FloatArray:
     """Return directions (2, 3) across the line of sight along which pixel and line increase, rad/px."""
     slopes = camera.unproject_jacobian(place[None])[0].T
@@ -184,8 +252,11 @@ def picture_axes(camera: Camera, place: FloatArray, toward: FloatArray) -> Float
 
 def _range(axes: FloatArray, body: AssistedBody) -> float:
     assert body.radius_px is not None
-    rad_per_px = float(np.sqrt(np.linalg.norm(np.cross(axes[0], axes[1]))))
-    return body.mean_radius_km / float(np.sin(min(body.radius_px * rad_per_px, 0.5 * np.pi)))
+    return body.mean_radius_km / float(np.sin(min(body.radius_px * _rad_per_px(axes), 0.5 * np.pi)))
+
+
+def _rad_per_px(axes: FloatArray) -> float:
+    return float(np.sqrt(np.linalg.norm(np.cross(axes[0], axes[1]))))
 
 
 def _covariance(body: AssistedBody, direction: FloatArray, distance: float) -> FloatArray:

@@ -33,7 +33,7 @@ from opnav_workbench.bodies.picture import sized_target
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.errors import CameraError, CenterfindingError, KernelError, MissionError, SessionError
 from opnav_workbench.geometry import unit
-from opnav_workbench.scene import AssistedBody, BodyPrediction, predict_body
+from opnav_workbench.scene import AssistedBody, BodyPrediction, apparent_radius_px, predict_body
 from opnav_workbench.session.body_models import (
     above_sky,
     body_model_if_known,
@@ -363,12 +363,9 @@ def _described(context: Context, name: str, parameters: dict[str, Any]) -> Assis
         )
         if phase_deg is not None and sun_deg is not None:
             return body
-        if body.radius_px is None:
-            raise SessionError(
-                f"{name}: give radius_px, or phase_deg and sun_deg: how it is lit, its disk tells."
-            )
         signal, _ = above_sky(context)
-        lit = fit_lighting(signal, context.bad, Circle(body.center_px, body.radius_px))
+        circle = Circle(body.center_px, apparent_radius_px(body, context.camera))
+        lit = fit_lighting(signal, context.bad, circle)
     except CenterfindingError as error:
         raise SessionError(f"{name}: {error}") from error
     return replace(

@@ -408,7 +408,9 @@ def _attitude(context: Context, wanted: str, et: float) -> tuple[FloatArray, Att
         try:
             return camera_attitude(frame_name, et), "kernels"
         except KernelError as error:
-            raise error if wanted == "kernels" else NoAttitudeKernelError(str(error)) from error
+            if wanted == "kernels":
+                raise KernelError(f"{error} {_instead_of_kernels(context)}") from error
+            raise NoAttitudeKernelError(str(error)) from error
     attitude = header_attitude(context)
     if attitude is None:
         raise NoAttitudeError(
@@ -466,6 +468,12 @@ def with_sweep(context: Context, sweep: RowSweep | None) -> Context:
 def _is_oriented(kernels: LoadedKernels, frame: str) -> bool:
     """Whether the kernels orient a frame at any time; they need not know it where the header does."""
     return knows_frame(frame) and kernels.has_attitude(frame)
+
+
+def _instead_of_kernels(context: Context) -> str:
+    """What else tells the attitude, for one who asked for the kernels' alone."""
+    told = "the header states one (--attitude header)" if header_attitude(context) is not None else ""
+    return f"Without kernels {told or 'the stars tell it (--attitude none)'}."
 
 
 def _because(contradictions: Sequence[str]) -> str:

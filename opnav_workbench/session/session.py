@@ -711,13 +711,18 @@ class ImageSession:
             self._know_shape(name)
             self._step("describe_body", parameters, reason)
 
-    def move_described(self, name: str, center_px: Sequence[float], radius_px: float) -> None:
-        """Describe a body again that was described, with another circle; what else was said of it stays.
+    def describe_again(self, name: str, *, reason: str = "", **changed: Any) -> None:
+        """Describe a body again that was described; what else was said of it stays.
+
+        Parameters
+        ----------
+        changed
+            Arguments of `describe_body`: another circle, the Sun, the phase, the range.
 
         Raises
         ------
         SessionError
-            It was not described, or the circle cannot be.
+            It was not described, or what is said cannot be.
         """
         said = next(
             (
@@ -729,8 +734,7 @@ class ImageSession:
         )
         if said is None:
             raise SessionError(f"{name} was not described by hand; describe_body() does so.")
-        other = {key: value for key, value in said.items() if key not in ("name", "center_px", "radius_px")}
-        self.describe_body(name, center_px, radius_px, **other)
+        self.describe_body(**dict(said) | changed, reason=reason)
 
     def skip_target(self, name: str, reason: str) -> None:
         """Leave a requested target out, and say why; the result then is ``partial`` (`body_steps.skip_target`)."""

@@ -29,6 +29,8 @@ Deciding
     Body centers by every method.
 ``circle_tool``
     The analyst's circle of a body.
+``description``
+    How a body that no ephemeris knows is lit, and how far it is.
 ``limb_scan_choice``
     Limb scans chosen by number, click or box, and their page.
 ``landmarks_tab``

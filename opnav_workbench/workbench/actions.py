@@ -14,6 +14,7 @@ __all__ = [
     "EVERYWHERE",
     "LANDMARK_MENU",
     "LANDMARK_REASONS",
+    "LIMB_POINTS",
     "LOOKING",
     "NOTE_MENU",
     "NUDGE",
@@ -23,7 +24,9 @@ __all__ = [
     "REASON_MENU",
     "REJECT_REASONS",
     "ROOM",
+    "SUN",
     "TABS",
+    "TERMINATOR",
     "TWO_STARS",
     "VIEW_ACTIONS",
     "WORKBENCH_ACTIONS",
@@ -168,6 +171,7 @@ LANDMARK_REASONS = ("wrong place", "shadow", "surface has changed", "blurred", "
 REASON_MENU, LANDMARK_MENU, NOTE_MENU = "reason menu", "landmark menu", "note"
 # What a click, a drag or an arrow key in the picture then means.
 NUDGE, CIRCLE, TWO_STARS, PLACE_STAR, BOX_SCANS = "nudge", "circle", "two_star", "place_star", "box_scans"
+LIMB_POINTS, SUN, TERMINATOR = "limb_points", "sun", "terminator"
 TABS = (
     ("stars", "Stars"),
     ("pointing", "Pointing"),
@@ -271,6 +275,23 @@ def _bodies() -> Iterator[Action]:
     yield Action(
         "circle", ("k",), "Circle", "Click the center, then the limb; or drag from center to limb.", where
     )
+    yield Action(
+        "limb_points", ("i",), "Limb", "Click three places on the limb: the circle goes through them.", where
+    )
+    yield Action(
+        "sun",
+        ("a",),
+        "Sun",
+        "Of a body by hand: click on its Sun's side, or drag toward the Sun.",
+        where,
+    )
+    yield Action(
+        "terminator",
+        ("p",),
+        "Terminator",
+        "Of a body by hand: click on its terminator, which tells the phase angle.",
+        where,
+    )
     yield Action("clear_circle", ("w",), "Clear", "Start from the predicted place and size again.", where)
     yield Action("next_scan", ("ArrowRight",), "Next scan", "Look at the next limb scan.", where)
     yield Action("previous_scan", ("ArrowLeft",), "Previous scan", "Look at the limb scan before.", where)
@@ -346,7 +367,8 @@ LOOKING = frozenset(
         *("next_body", "body", "method", "solve_range", "next_scan", "previous_scan", "look_scan"),
         *("landmark", "landmark_body", "next_landmark", "previous_landmark", "next_open_landmark"),
         *("sort_landmarks", "reject_landmark"),
-        *("two_star", "nudge", "place_star", "circle", "box_scans", "two_star_name", "older_entries"),
+        *("two_star", "nudge", "place_star", "circle", "limb_points", "sun", "terminator", "box_scans"),
+        *("two_star_name", "older_entries"),
     }
 )
 

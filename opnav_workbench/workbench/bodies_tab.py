@@ -15,8 +15,20 @@ from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.session import BODY_METHODS
 from opnav_workbench.templating import png_url, words
-from opnav_workbench.workbench.actions import BOX_SCANS, CIRCLE, ActionRegistry
+from opnav_workbench.workbench.actions import (
+    BOX_SCANS,
+    CIRCLE,
+    LIMB_POINTS,
+    SUN,
+    TERMINATOR,
+    ActionRegistry,
+)
 from opnav_workbench.workbench.circle_tool import CircleControl, DrawnCircle
+from opnav_workbench.workbench.description import (
+    DescriptionControl,
+    DescriptionField,
+    description_fields,
+)
 from opnav_workbench.workbench.limb_scan_choice import (
     ScanPage,
     chosen_scans,
@@ -119,9 +131,9 @@ class BodyPage:
     circle
         The analyst's.
     described
-        How a body is lit that the analyst describes, in words; empty for others.
-    circling
-        Whether a circle is being drawn.
+        What can be typed of a body that the analyst describes; nothing of others.
+    tool
+        What is being drawn.
     center
         Found last.
     scans
@@ -137,8 +149,8 @@ class BodyPage:
     solve_range: bool
     prediction: Prediction | None
     circle: DrawnCircle | None
-    described: str
-    circling: bool
+    described: list[DescriptionField]
+    tool: str
     center: CenterShown | None
     scans: ScanPage | None
     offered: tuple[str, ...]
@@ -275,7 +287,8 @@ def _dn_text(dn: float) -> str:
 
 # ---- The tab of the bodies: circles by click, centers by every method, limb scans chosen and judged.
 
-DRAG_SHAPES = {CIRCLE: "circle", BOX_SCANS: "box"}  # what a drag draws
+DRAG_SHAPES = {CIRCLE: "circle", BOX_SCANS: "box", SUN: "line"}  # what a drag draws
+CIRCLE_LAYER = "limb points"
 SCANS_LAYER = "limb scans"
 BODY_SPAN, LEAST_SPAN_PX = (
     1.8,
@@ -297,6 +310,7 @@ class BodiesTab(Tab):
         self.focus_scan = 0
         self._sought = False  # the center at hand was just found, and may be out of sight
         self.circle_control = CircleControl(runner, self._body_or_raise, self._by_hand_km.get)
+        self.description = DescriptionControl(runner, self._body_or_raise, self.circle_control.of)
 
     # -- what stands -------------------------------------------------------------------------------------------
 
@@ -352,6 +366,8 @@ class BodiesTab(Tab):
             picture_px = float(max(self.runner.session.context.signal_dn.shape))
             layer = scan_layer(scans.places_px, scans.status, self.focus_scan, picture_px)
             viewer.layer(SCANS_LAYER, layer)
+        drawing = self.runner.tool in (CIRCLE, LIMB_POINTS)
+        viewer.layer(CIRCLE_LAYER, self.circle_control.tool.layer() if drawing else Layer())
         viewer.drag_mode(self.runner.tool in DRAG_SHAPES, DRAG_SHAPES.get(self.runner.tool, "box"))
 
     def look(self, *, unless_seen: bool = False) -> None:
@@ -381,8 +397,8 @@ class BodiesTab(Tab):
             solve_range=self.solve_range,
             prediction=prediction,
             circle=self.circle,
-            described=self.circle_control.lit(name),
-            circling=self.runner.tool == CIRCLE,
+            described=description_fields(session, name),
+            tool=self.runner.tool,
             center=center_shown(centers[-1], expected, short=scans is not None) if centers else None,
             scans=None
             if scans is None
@@ -410,23 +426,27 @@ class BodiesTab(Tab):
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
-        return self.circle_control.handlers() | {
-            "find_body": lambda _: self.find(),
-            "next_body": lambda _: self._next_body(),
-            "body": self._picked,
-            "add_body": self._add,
-            "method": self._choose_method,
-            "solve_range": lambda _: self._toggle_range(),
-            "next_scan": lambda _: self._go_scan(+1),
-            "previous_scan": lambda _: self._go_scan(-1),
-            "look_scan": self._look_scan,
-            "scan": lambda event: self._toggle_scan(int(event["arg"])),
-            "toggle_scan": lambda _: self._toggle_scan(self.focus_scan),
-            "box_scans": lambda _: self._box_tool(),
-            "pick_scans": lambda event: self._choose([int(n) for n in event["picks"]], "box"),
-            "scans": self._typed_scans,
-            "automatic_scans": lambda _: self._choose(None, ""),
-        }
+        return (
+            self.circle_control.handlers()
+            | self.description.handlers()
+            | {
+                "find_body": lambda _: self.find(),
+                "next_body": lambda _: self._next_body(),
+                "body": self._picked,
+                "add_body": self._add,
+                "method": self._choose_method,
+                "solve_range": lambda _: self._toggle_range(),
+                "next_scan": lambda _: self._go_scan(+1),
+                "previous_scan": lambda _: self._go_scan(-1),
+                "look_scan": self._look_scan,
+                "scan": lambda event: self._toggle_scan(int(event["arg"])),
+                "toggle_scan": lambda _: self._toggle_scan(self.focus_scan),
+                "box_scans": lambda _: self._box_tool(),
+                "pick_scans": lambda event: self._choose([int(n) for n in event["picks"]], "box"),
+                "scans": self._typed_scans,
+                "automatic_scans": lambda _: self._choose(None, ""),
+            }
+        )
 
     def _body_or_raise(self) -> str:
         if not self.chosen:
@@ -488,9 +508,9 @@ class BodiesTab(Tab):
         """Take the circle that describes a body which no ephemeris knows."""
         self.body = name
         self._by_hand_km[name] = radii_km
-        self.circle_control.tool.drop()
-        if self.runner.tool != CIRCLE:
-            self.runner.toggle_tool(CIRCLE, f"{name}: {self.circle_control.tool.prompt}")
+        self.runner.tool = ""
+        self.circle_control.take_tool()
+        self.runner.status.say(f"{name}: {self.circle_control.tool.prompt}")
 
     def _choose_method(self, event: PageEvent) -> None:
         value = event.get("value")
@@ -504,8 +524,11 @@ class BodiesTab(Tab):
 
     def tapped(self, pixel: float, line: float) -> None:
         """Take a click: for the circle, or on a scan."""
-        if self.runner.tool == CIRCLE:
+        if self.runner.tool in (CIRCLE, LIMB_POINTS):
             self.circle_control.tapped(pixel, line)
+            return
+        if self.runner.tool in (SUN, TERMINATOR):
+            self.description.tapped(pixel, line)
             return
         scans = self.scans
         number = None if scans is None else scan_at(scans.places_px, pixel, line)
@@ -516,13 +539,15 @@ class BodiesTab(Tab):
         """Take a drag: a circle from its center to its limb, or a box over scans."""
         if self.runner.tool == CIRCLE:
             self.circle_control.dragged(pixel0, line0, pixel1, line1)
+        elif self.runner.tool == SUN:
+            self.description.dragged(pixel0, line0, pixel1, line1)
         elif self.runner.tool == BOX_SCANS:
             self.runner.tool = ""
             places = self._scans().places_px
             self._choose(scans_crossing(places, pixel0, line0, pixel1, line1), "box in the picture")
 
     def drop_unfinished(self) -> bool:
-        """Drop a center without a radius."""
+        """Drop places that make no circle yet."""
         return self.circle_control.tool.drop()
 
     # -- scans -------------------------------------------------------------------------------------------------

@@ -1,23 +1,31 @@
-"""The analyst's circle of a body: two clicks or a drag, then arrow keys (1 px, with Shift 0.1 px) and typed numbers.
+"""The analyst's circle of a body: two clicks or a drag, or three clicks on its limb; then arrow keys and typed numbers.
 
 The circle itself is immutable, in pixels and lines; each change of it is a session step.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from opnav_workbench.errors import SessionError
-from opnav_workbench.workbench.actions import CIRCLE
+from opnav_workbench.scene import apparent_radius_px
+from opnav_workbench.workbench.actions import CIRCLE, LIMB_POINTS
+from opnav_workbench.workbench.description import description_line
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, typed_number
+from opnav_workbench.workbench.viewer import Layer
 
 __all__ = ["CircleControl", "CircleTool", "DrawnCircle", "typed_circle"]
 
 
-# ---- The circle, and the two clicks or the drag that make it.
+# ---- The circle, and the clicks or the drag that make it.
 
 MIN_RADIUS_PX = 1.0  # a smaller circle is two clicks on one place
+LEAST_BEND = (
+    0.02  # height of three places over their longest side; flatter, a pixel decides how large the circle is
+)
+CROSS_PX = 6.0  # half the length of the crosses at places clicked
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +72,31 @@ def circle_through(pixel0: float, line0: float, pixel1: float, line1: float) -> 
     return DrawnCircle(round(pixel0, 3), round(line0, 3), round(radius, 3))
 
 
+def circle_through_limb(places_px: Sequence[tuple[float, float]]) -> DrawnCircle:
+    """Return the circle through three places (pixel, line) on the limb.
+
+    Raises
+    ------
+    SessionError
+        They lie on a line, or nearly.
+
+    Examples
+    --------
+    >>> circle_through_limb([(0.0, 5.0), (5.0, 0.0), (10.0, 5.0)])
+    DrawnCircle(pixel=5.0, line=5.0, radius_px=5.0)
+    """
+    places = np.array(places_px)
+    sides = places[1:] - places[0]
+    longest = float(max(np.linalg.norm(one - other) for one in places for other in places))
+    double_area = float(sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0])
+    if longest < MIN_RADIUS_PX or abs(double_area) < LEAST_BEND * longest**2:
+        raise SessionError("the three places lie on a line; click places far apart on the limb.")
+    # The center is as far from all: its distances from the chords' middles are at right angles to them.
+    center = places[0] + np.linalg.solve(sides, 0.5 * (sides**2).sum(axis=1))
+    radius = float(np.linalg.norm(places[0] - center))
+    return DrawnCircle(*(round(float(x), 3) for x in (*center, radius)))
+
+
 def typed_circle(circle: DrawnCircle, field: str, value: str) -> DrawnCircle:
     """Return the circle with one number typed by the analyst.
 
@@ -80,7 +113,7 @@ def typed_circle(circle: DrawnCircle, field: str, value: str) -> DrawnCircle:
 
 
 class CircleTool:
-    """Collects the two clicks.
+    """Collects the clicks: center and limb, or three places on the limb.
 
     Examples
     --------
@@ -91,7 +124,8 @@ class CircleTool:
     """
 
     def __init__(self) -> None:
-        self.center: tuple[float, float] | None = None
+        self.places: list[tuple[float, float]] = []
+        self.by_limb = False
 
     def clicked(self, pixel: float, line: float) -> DrawnCircle | None:
         """Take a click; return the circle once it is complete.
@@ -99,24 +133,44 @@ class CircleTool:
         Raises
         ------
         SessionError
-            Both clicks are in the same place; the center is kept.
+            The places make no circle; those before the last are kept.
         """
-        if self.center is None:
-            self.center = (pixel, line)
+        places = [*self.places, (pixel, line)]
+        if len(places) < (3 if self.by_limb else 2):
+            self.places = places
             return None
-        circle = circle_through(*self.center, pixel, line)
-        self.center = None
+        circle = circle_through_limb(places) if self.by_limb else circle_through(*places[0], *places[1])
+        self.places = []
         return circle
 
+    def begin(self, *, by_limb: bool) -> None:
+        """Begin anew."""
+        self.places, self.by_limb = [], by_limb
+
     def drop(self) -> bool:
-        """Forget a center without a radius; False where there is none."""
-        begun, self.center = self.center is not None, None
+        """Forget places that make no circle yet; False where there are none."""
+        begun, self.places = bool(self.places), []
         return begun
+
+    def layer(self) -> Layer:
+        """Return crosses at the places clicked so far."""
+        crosses = [
+            ends
+            for pixel, line in self.places
+            for ends in (
+                (pixel - CROSS_PX, line, pixel + CROSS_PX, line),
+                (pixel, line - CROSS_PX, pixel, line + CROSS_PX),
+            )
+        ]
+        return Layer(crosses, ["focus"] * len(crosses))
 
     @property
     def prompt(self) -> str:
         """What to do next."""
-        if self.center is None:
+        if self.by_limb:
+            left = ("three places on the limb, far apart", "a second place on the limb", "a third one")
+            return f"click {left[len(self.places)]}."
+        if not self.places:
             return "click the body's center, or drag from its center to its limb."
         return "now click a place on the limb."
 
@@ -141,7 +195,7 @@ class CircleControl:
         self,
         runner: StepRunner,
         body: Callable[[], str],
-        radii_km: Callable[[str], Sequence[float] | None] = lambda _: None,
+        radii_km: Callable[[str], Sequence[float] | None],
     ) -> None:
         self.runner = runner
         self._radii_km = radii_km
@@ -151,10 +205,15 @@ class CircleControl:
     def of(self, name: str) -> DrawnCircle | None:
         """Return the analyst's circle of a body, if there is one."""
         state = self.runner.session.state
-        circle = state.circles.get(name) or state.assisted.get(name)
-        if circle is None or circle.radius_px is None:
+        circle, body = state.circles.get(name), state.assisted.get(name)
+        if circle is not None:
+            return DrawnCircle(
+                float(circle.center_px[0]), float(circle.center_px[1]), float(circle.radius_px)
+            )
+        if body is None:
             return None
-        return DrawnCircle(float(circle.center_px[0]), float(circle.center_px[1]), float(circle.radius_px))
+        radius = apparent_radius_px(body, self.runner.session.context.camera)
+        return DrawnCircle(float(body.center_px[0]), float(body.center_px[1]), round(radius, 3))
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -166,7 +225,8 @@ class CircleControl:
             "circle_larger": lambda _: self.set(self._present().grown(+1.0)),
             "circle_smaller": lambda _: self.set(self._present().grown(-1.0)),
             "circle_field": self._typed,
-            "circle": lambda _: self._take_tool(),
+            "circle": lambda _: self.take_tool(),
+            "limb_points": lambda _: self.take_tool(LIMB_POINTS),
             "clear_circle": lambda _: self._clear(),
         }
 
@@ -186,26 +246,18 @@ class CircleControl:
 
     def _describe(self, name: str, circle: DrawnCircle, radii_km: Sequence[float] | None) -> None:
         """Describe a body by its circle, or move the circle of one that is described."""
-        session = self.runner.session
+        session, present = self.runner.session, self.of(name)
 
         def work() -> None:
-            if name in session.state.assisted:
-                session.move_described(name, circle.center_px, circle.radius_px)
-            else:
+            if name not in session.state.assisted or present is None:
                 session.describe_body(name, circle.center_px, circle.radius_px, radii_km=radii_km)
+                return
+            # Another size tells another range; a circle that is moved alone keeps the one that was stated.
+            resized = circle.radius_px != present.radius_px
+            size: dict[str, Any] = {"radius_px": circle.radius_px, "range_km": None} if resized else {}
+            session.describe_again(name, center_px=circle.center_px, **size)
 
-        self.runner.run("describing the body", work, lambda: f"{name}: {self.lit(name)}; F finds its center.")
-
-    def lit(self, name: str) -> str:
-        """How a described body is lit, and how far it is, in words; empty of any other."""
-        body = self.runner.session.state.assisted.get(name)
-        if body is None:
-            return ""
-        target = self.runner.session.inputs.targets[name]
-        return (
-            f"phase {np.degrees(body.phase_rad):.0f}°, Sun toward {np.degrees(body.sun_angle_rad) % 360.0:.0f}°, "
-            f"range {target.range_km:.4g} km"
-        )
+        self.runner.run("describing the body", work, lambda: description_line(session, name))
 
     def tapped(self, pixel: float, line: float) -> None:
         """Take the click on the center, or on the limb."""
@@ -223,10 +275,11 @@ class CircleControl:
         self.runner.tool = ""
         self.set(circle)
 
-    def _take_tool(self) -> None:
+    def take_tool(self, tool: str = CIRCLE) -> None:
+        """Take the tool of two clicks or a drag, or that of three places on the limb; taken, it is put away."""
         self._body()
-        self.tool.drop()
-        self.runner.toggle_tool(CIRCLE, self.tool.prompt)
+        self.tool.begin(by_limb=tool == LIMB_POINTS)
+        self.runner.toggle_tool(tool, self.tool.prompt)
 
     def _present(self) -> DrawnCircle:
         circle = self.of(self._body())

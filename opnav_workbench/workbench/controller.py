@@ -43,7 +43,7 @@ from opnav_workbench.workbench.viewer import Layer, Viewer
 
 __all__ = ["REGIONS", "WorkbenchController"]
 
-TOOL_LAYERS = ("two stars", "limb scans", "landmarks")  # that the tabs draw
+TOOL_LAYERS = ("two stars", "limb points", "limb scans", "landmarks")  # that the tabs draw
 GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})

@@ -231,24 +231,32 @@ def predicted_body(session: ImageSession, target: TargetState) -> BodyPrediction
 def body_marks(session: ImageSession) -> list[BodyMarks]:
     """Return the marks of every target in sight of the camera where it is expected, the largest first."""
     measured = {b.name: b.pixel_line for b in session.state.bodies if b.pixel_line is not None}
-    attitude, marks = expected_attitude(session), []
+    expected, marks = expected_attitude(session), []
+    # What an analyst described stands where he put it: with the attitude that his words were taken with.
+    put_with = best_attitude(session.inputs, session.state) if session.state.assisted else expected
     for name, target in session.inputs.targets.items():
+        attitude = put_with if name in session.state.assisted else expected
         seen = predict_body(target, session.inputs.observer, session.context.camera, attitude)
         if np.isfinite(seen.pixel_line).all():
-            marks.append(_marks_of_body(session, target, seen, measured.get(name)))
+            marks.append(_marks_of_body(session, target, seen, measured.get(name), attitude))
     return sorted(marks, key=lambda mark: -mark.radius_px)
 
 
 def _marks_of_body(
-    session: ImageSession, target: TargetState, seen: BodyPrediction, observed: FloatArray | None
+    session: ImageSession,
+    target: TargetState,
+    seen: BodyPrediction,
+    observed: FloatArray | None,
+    attitude: FloatArray,
 ) -> BodyMarks:
     moved = np.zeros(2) if observed is None else observed - seen.pixel_line
     radius = 0.5 * seen.diameter_px if np.isfinite(seen.diameter_px) else 0.0
     drawn = seen.limb_px if 2.0 * radius >= MIN_DRAWN_PX else np.empty((0, 2))
     closed = np.vstack([drawn, drawn[:1]])  # of a dot: nothing
+    nothing = np.empty((0, 2))
     lines = [
         closed,
-        *(_terminator_and_pole(session, target) if len(drawn) else (np.empty((0, 2)), np.empty((0, 2)))),
+        *(_terminator_and_pole(session, target, attitude) if len(drawn) else (nothing, nothing)),
     ]
     return BodyMarks(
         target.name,
@@ -256,11 +264,13 @@ def _marks_of_body(
         float(radius),
         observed is not None,
         closed,
-        *(line + moved for line in (lines if observed is not None else [np.empty((0, 2)), *lines[1:]])),
+        *(line + moved for line in (lines if observed is not None else [nothing, *lines[1:]])),
     )
 
 
-def _terminator_and_pole(session: ImageSession, target: TargetState) -> tuple[FloatArray, FloatArray]:
+def _terminator_and_pole(
+    session: ImageSession, target: TargetState, attitude: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Terminator and pole, px, about the predicted center."""
     assert target.radii_km is not None
     j2000_from_body = np.eye(3) if target.body_from_j2000 is None else target.body_from_j2000.T
@@ -274,13 +284,14 @@ def _terminator_and_pole(session: ImageSession, target: TargetState) -> tuple[Fl
         along = POLE_BEYOND * target.radii_km[2] * j2000_from_body[:, 2]
         pole = np.stack([target.position_km, target.position_km + along])
         pole /= np.linalg.norm(pole, axis=1, keepdims=True)
-    return _projected(session, terminator), _projected(session, pole)
+    return _projected(session, terminator, attitude), _projected(session, pole, attitude)
 
 
-def _projected(session: ImageSession, directions: FloatArray) -> FloatArray:
+def _projected(session: ImageSession, directions: FloatArray, attitude: FloatArray) -> FloatArray:
     if len(directions) == 0:
         return np.empty((0, 2))
-    return expected_places(session, apparent_direction(directions, session.inputs.observer.velocity_km_s))
+    apparent = apparent_direction(directions, session.inputs.observer.velocity_km_s)
+    return session.context.camera.standing(attitude).project(apparent @ attitude.T)
 
 
 # ---- Lines of right ascension and declination over the picture, with labels.

@@ -411,6 +411,63 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     )  # fmt: skip
 
 
+WITHOUT_KERNELS = """
+from opnav_workbench.workbench import workbench
+from opnav_workbench.workbench.image_queue import ImageQueue
+bench = workbench(ImageQueue.of_images([{picture!r}], "new_horizons", {out!r}, attitude="unknown"))
+bench
+"""
+SAID_BY_HAND = "bench.session.standing[-1].parameters"
+PLUTO_RADIUS_PX, PLUTO_SUN_DEG, PLUTO_PHASE_DEG = 94.5, -113.4, 15.4  # as the kernels have them
+
+
+def test_a_body_by_hand_in_a_picture_without_kernels(notebook, resolved, tmp_path):
+    """Three clicks on the limb, a drag toward the Sun, the terminator by the key of the cursor; each goes by one undo."""
+    picture, _ = resolved
+    center = np.array(json.loads((picture.parent / "pluto_stars.truth.json").read_text())["bodies"]["PLUTO"])
+
+    def around(turn_deg, share=1.0):
+        turn = np.radians(turn_deg)
+        return center + share * PLUTO_RADIUS_PX * np.array([np.cos(turn), np.sin(turn)])
+
+    nb = notebook(WITHOUT_KERNELS.format(picture=str(picture), out=str(tmp_path)))
+    hand = Analyst(nb).start()
+    hand.press("3")
+    hand.type('.ow-panel input[data-act="add_body"]', "vulcan 1188.3 km")
+    hand.said("VULCAN: click the body's center")
+    hand.page.locator(".ow-header").click(position={"x": 3, "y": 3})
+    hand.press("i")
+    for turn, asked in ((-150.0, "three places"), (-30.0, "a second place"), (90.0, "a third one")):
+        hand.said(asked)
+        hand.tap(*around(turn))
+    hand.said("VULCAN: phase")
+    hand.press("a")
+    hand.said("drag toward the Sun")
+    nb.settle()
+    hand.drag(around(PLUTO_SUN_DEG, 0.2), around(PLUTO_SUN_DEG, 0.9))
+    nb.until(f"{SAID_BY_HAND}['sun_deg']")
+    hand.press("p")
+    hand.said("click a place on the terminator")
+    nb.settle()
+    terminator = around(PLUTO_SUN_DEG + 180.0, np.cos(np.radians(PLUTO_PHASE_DEG)))
+    hand.page.mouse.move(*nb.xy(*terminator))
+    hand.press("Control+Enter")
+    said = nb.until(f"{SAID_BY_HAND}['phase_deg'] and {SAID_BY_HAND}")
+    # A page pixel is two of the picture, which at the edge of the disk is some degrees of phase.
+    np.testing.assert_allclose(said["center_px"], center, atol=3.0)
+    assert said["radius_px"] == pytest.approx(PLUTO_RADIUS_PX, abs=3.0)
+    assert abs((said["sun_deg"] - PLUTO_SUN_DEG + 180.0) % 360.0 - 180.0) < 4.0
+    assert said["phase_deg"] == pytest.approx(PLUTO_PHASE_DEG, abs=8.0)
+    hand.type('.ow-panel input[data-arg="phase_deg"]', "25")
+    hand.said("phase 25°")
+    nb.shot("body_by_hand")
+    hand.page.locator(".ow-header").click(position={"x": 3, "y": 3})
+    for left in (3, 2, 1, 0):
+        hand.press("Control+z")
+        nb.until(f"[e.step for e in bench.session.standing].count('describe_body') == {left}")
+    assert not nb.python("list(bench.session.state.assisted)")
+
+
 # -- from a night to the morning ------------------------------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 """Pictures of many formats, made here by the documents of each or by other software, and files of the archives."""
 
+import gzip
 import json
 import struct
 import time
@@ -7,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import tifffile
 from astropy.io import fits
 from picture_bytes import isis_bytes, pds4_label, vicar_bytes, voyager_bytes
 from PIL import Image
@@ -230,9 +232,35 @@ class TestDisplayPictures:
         path.write_bytes(bigtiff(values))
         np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, values)
 
+    @pytest.mark.parametrize(
+        ("dtype", "options"),
+        [
+            ("f8", {}), ("f2", {}), (">f8", {"byteorder": ">"}), ("u2", {"bigtiff": True, "byteorder": ">"}),
+            ("u2", {"bigtiff": True, "tile": (16, 16)}), ("f8", {"compression": "zlib"}),
+            ("i2", {"byteorder": ">", "tile": (16, 32)}), ("f8", {"photometric": "miniswhite"}),
+        ],
+    )  # fmt: skip
+    def test_tiff_of_another_program(self, tmp_path, dtype, options):
+        """Files by tifffile, which scikit-image and MATLAB's users write: reals of 64 bits, tiles, the high byte first."""
+        path = tmp_path / "a.tif"
+        tifffile.imwrite(path, PIXELS.astype(dtype), **options)
+        negative = "photometric" in options
+        expected = PIXELS.astype(dtype).max() - PIXELS if negative else PIXELS
+        picture = read_image(path, KEYWORDS)
+        np.testing.assert_allclose(picture.image_dn, expected.astype(dtype), rtol=1e-12)
+        assert any("white" in message for message in picture.messages) == negative
+
+    def test_the_first_of_several_reals(self, tmp_path):
+        tifffile.imwrite(
+            tmp_path / "a.tif", np.stack([PIXELS, PIXELS + 1.0]).astype("f8"), photometric="minisblack"
+        )
+        picture = read_image(tmp_path / "a.tif", KEYWORDS)
+        np.testing.assert_array_equal(picture.image_dn, PIXELS)
+        assert "the first of 2 pictures in the file" in picture.messages
+
     def test_tiff_that_is_not_read(self, tmp_path):
         path = tmp_path / "a.tif"
-        path.write_bytes(tiff(PIXELS.astype(np.float64), "<", sample_format=3))
+        path.write_bytes(tiff(PIXELS.astype(np.complex64), "<", sample_format=6))
         assert "save it with 16-bit integers or 32-bit reals, or as FITS" in error_of(path)
 
 
@@ -482,6 +510,22 @@ def test_single_quotes_and_wrappers(tmp_path):
     picture = read_image(path, KEYWORDS)
     np.testing.assert_array_equal(picture.image_dn, PIXELS)
     assert (picture.header["NOTE"], picture.header["NAMES"]) == ('isn"t it', "CL1, CL2")
+
+
+@pytest.mark.parametrize("detached", [False, True])
+def test_gzipped_pds3(tmp_path, detached):
+    """As archives send them: the file itself, or what its label names."""
+    pixels = PIXELS.astype(">u2").tobytes()
+    label = (
+        f"PDS_VERSION_ID = PDS3\r\nRECORD_BYTES = 1024\r\n^IMAGE = {'A.DAT' if detached else 2}\r\nOBJECT = IMAGE\r\n"
+        " LINES = 12\r\n LINE_SAMPLES = 20\r\n SAMPLE_TYPE = MSB_UNSIGNED_INTEGER\r\n SAMPLE_BITS = 16\r\n"
+        "END_OBJECT\r\nEND\r\n"
+    ).encode()
+    path = tmp_path / ("a.lbl" if detached else "a.img.gz")
+    path.write_bytes(label if detached else gzip.compress(label.ljust(1024) + pixels))
+    if detached:
+        (tmp_path / "a.dat.gz").write_bytes(gzip.compress(pixels))
+    np.testing.assert_array_equal(read_image(path, KEYWORDS).image_dn, PIXELS)
 
 
 @pytest.mark.parametrize("constant", ["-1.0E32", "16#F49DC5AE#"])

@@ -91,6 +91,32 @@ def test_two_times_of_which_nothing_tells_the_right_one(told):
     )
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"EARTH_RECEIVED_TIME": "2015-04-09T17:00:00"}, ""),
+        ({"EARTH_RECEIVED_TIME": "2015-099T11:00:00.000Z"}, "s after EARTH_RECEIVED_TIME = 2015-099T11"),
+        ({"EARTH_RECEIVED_START_TIME": "2015-04-08T11:00:00", "PRODUCT_CREATION_TIME": "2014-04-08T11:00:00"}, "START_TIME"),
+        ({"PRODUCT_CREATION_TIME": "2015-04-09T02:00:00"}, ""),  # local time
+        ({"PRODUCT_CREATION_TIME": "2014-04-09T02:00:00"}, "s after PRODUCT_CREATION_TIME"),
+        ({"EARTH_RECEIVED_TIME": "UNK", "PRODUCT_CREATION_TIME": "N/A"}, ""),
+        ({"START_TIME": "2015-04-09T13:59:50", "STOP_TIME": "2015-04-09T14:00:10", "IMAGE_TIME": "2015-04-09T14:00:10"}, ""),
+        ({"START_TIME": "2015-04-09T13:59:50", "STOP_TIME": "2015-04-09T14:00:10", "IMAGE_TIME": "2015-04-09T14:00:20"},
+         "IMAGE_TIME = 2015-04-09T14:00:20 lies outside the header's begin and end"),
+        ({"SPACECRAFT_SOLAR_DISTANCE": 4.8e9}, "SPACECRAFT_SOLAR_DISTANCE is 4.8e+09 km, but the Sun's position"),
+    ],
+)  # fmt: skip
+def test_other_words_of_a_label_are_held_against_its_time_and_place(truth, tmp_path, words, said):
+    """A picture is not taken after it came to the Earth; the demo's is of 2015-04-09T14:00."""
+    path = shutil.copy(truth.picture, tmp_path / "told.fit")
+    with fits.open(path, mode="update") as hdus:
+        for word, value in words.items():
+            hdus[0].header[f"HIERARCH {word}"] = value
+    found = read_image(path, KEYWORDS).contradictions
+    assert len(found) == bool(said)
+    assert said in " ".join(found)
+
+
 def test_an_exposure_longer_than_from_begin_to_end(told):
     path = told()
     fits.setval(path, "DATE-BEG", value="2015-04-15T02:00:00.000")

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import KernelError, SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.geometry import matrix_from_quaternion
 from opnav_workbench.mission import load_mission
@@ -431,3 +431,8 @@ def test_a_target_left_out_makes_the_result_partial_until_it_is_known(opened):
     opened.add_target("PLUTO")
     assert opened.result()["status"] == "ok"
     assert opened.result()["messages"] == []
+
+
+def test_an_attitude_that_kernels_do_not_tell_is_told_otherwise(demo_truths):
+    with pytest.raises(KernelError, match=r"Without kernels the header states one \(--attitude header\)\.$"):
+        ImageSession.open(demo_truths[0].picture, "new_horizons", attitude="kernels")

@@ -32,6 +32,7 @@ COLORS = {
 PNG_BIT_DEPTH, PNG_COLOR = 24, 25  # bytes of the first chunk
 TIFF_BITS_PER_SAMPLE, TIFF_PHOTOMETRIC, TIFF_ORIENTATION, TIFF_SAMPLE_FORMAT = 258, 262, 274, 339
 WHITE_IS_ZERO = 0
+WHITE_ZERO = "its zero is white: values are counted from the highest down"
 UNSIGNED, SIGNED = 1, 2  # sample formats
 AS_STORED = {  # what undoes the turn that Pillow makes of a tag
     2: "FLIP_LEFT_RIGHT", 3: "ROTATE_180", 4: "FLIP_TOP_BOTTOM", 5: "TRANSPOSE", 6: "ROTATE_90", 7: "TRANSVERSE",
@@ -70,6 +71,8 @@ def read_display_picture(file: Path, data: bytes) -> StoredPicture:
     except (ImageError, MemoryError):
         raise
     except UnidentifiedImageError as error:
+        if kind == "TIFF" and (source := _reals_and_large(name, data)) is not None:
+            return source
         raise image_error(
             name,
             f"damaged {kind} file, or of a kind that is not read; save it with 16-bit integers or 32-bit reals, or as FITS.",
@@ -83,6 +86,43 @@ def read_display_picture(file: Path, data: bytes) -> StoredPicture:
             "JPEG keeps no faint detail: centers of faint stars may be off by more than their sigmas"
         )
     return _stored(stored, mode, header, messages)
+
+
+def _reals_and_large(name: str, data: bytes) -> StoredPicture | None:
+    """Read a gray TIFF of a kind that Pillow has not: reals of 16 and 64 bits, of more than 4 GB high byte first.
+
+    None where it is none of these, or packed in a way that takes a library which does not come along.
+    """
+    import tifffile  # noqa: PLC0415
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            page = file.pages.first
+            if (
+                len(page.shape) != 2
+                or page.samplesperpixel != 1
+                or page.dtype is None
+                or page.dtype.kind not in "uif"
+            ):
+                return None
+            check_size(name, page.size)
+            values, frames = np.asarray(page.asarray()), len(file.pages)
+            is_negative = int(page.photometric) == WHITE_IS_ZERO
+    except (ImageError, MemoryError):
+        raise
+    except Exception:  # whatever the library says of what it cannot read: Pillow's answer stands
+        return None
+    messages = [f"the first of {frames} pictures in the file"] if frames > 1 else []
+    if is_negative:
+        messages.append(WHITE_ZERO)
+        values = _counted_down(values)
+    return _stored(values, "F", {}, messages)
+
+
+def _counted_down(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values of which the highest was dark."""
+    highest = values.max() if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    return np.asarray(highest - values)
 
 
 def _refuse_changed(name: str, picture: Any, data: bytes) -> None:
@@ -110,7 +150,7 @@ def _tags(picture: Any) -> tuple[list[str], int, bool]:
     )
     is_negative = tags.get(TIFF_PHOTOMETRIC) == WHITE_IS_ZERO
     if is_negative:
-        messages.append("its zero is white: values are counted from the highest down")
+        messages.append(WHITE_ZERO)
     return messages, told if tags else 1, is_negative
 
 
@@ -132,9 +172,7 @@ def _as_stored(picture: Any, orientation: int, is_negative: bool) -> NDArray[Any
     if values.dtype == np.uint8 and kind[0] == SIGNED:
         values = values.view(np.int8)
     if is_negative and picture.mode not in ("1", "L"):  # those Pillow has counted so itself
-        values = np.asarray(
-            values.max() - values if values.dtype.kind == "f" else np.iinfo(values.dtype).max - values
-        )
+        values = _counted_down(values)
     return values
 
 

@@ -155,7 +155,8 @@ def read_isis_cube(name: str, label: IsisLabel, data: bytes) -> StoredPicture:
     if kind not in PIXEL_TYPES or order is None:
         raise image_error(
             name,
-            f"ISIS cube of Type {core.get('TYPE')!r} in ByteOrder {core.get('BYTEORDER')!r} is not read.",
+            f"ISIS cube of Type {core.get('TYPE')!r} in ByteOrder {core.get('BYTEORDER')!r} is not read; "
+            "convert it to bit type real, or to FITS.",
         )
     dtype = np.dtype(order + PIXEL_TYPES[kind].dtype)
     lines, samples = (label_integer(name, core, key, least=1) for key in ("LINES", "SAMPLES"))

@@ -161,7 +161,10 @@ def read_variable_length(name: str, data: bytes, label: PdsLabel) -> StoredPictu
     encoding = str(image.get("ENCODING_TYPE", "")).upper()
     if encoding != ENCODING:
         raise image_error(
-            name, f"PDS3 image of ENCODING_TYPE {encoding!r} in records of variable length is not read."
+            name,
+            f"PDS3 image of ENCODING_TYPE {encoding!r} in records of variable length is not read; decompress it first."
+            if encoding
+            else "its label names no ENCODING_TYPE, or ends before it; copy or download the file again.",
         )
     lines, samples = (label_integer(name, image, key, least=1) for key in ("LINES", "LINE_SAMPLES"))
     suffix = label_integer(name, image, "LINE_SUFFIX_BYTES", 0)

@@ -77,7 +77,8 @@ def _tells(header: Header, keywords: KeywordMap, fields: tuple[str, ...]) -> boo
     return not asked or any(keywords.value(header, field) is not None for field in asked)
 
 
-def _read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
+def _read_stored(file: Path, packed: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
+    data = _plain(file, packed)
     if is_fits(data):
         return file, read_fits(file, data, keywords)
     if pds_label.is_pds3(data):
@@ -87,22 +88,24 @@ def _read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, S
     if pds4.is_pds4(data):
         label = pds4.pds4_label(file.name, data)
         pixels = _file_beside(file, label.file)
-        return pixels, pds4.read_pds4(pixels.name, label, file_bytes(pixels))
+        return pixels, pds4.read_pds4(pixels.name, label, _content(pixels))
     if sidecar.is_sidecar(file):
         return _read_named_by_sidecar(file, keywords)
     return file, _read_pixels(file, data, keywords)
 
 
 def _file_beside(label_file: Path, named: str) -> Path:
-    """Return the file that a label or sidecar names, in its own folder only.
+    """Return the file that a label or sidecar names, in its own folder only; gzipped where it is there so alone.
 
     Case does not count: labels are in capitals, archives often not.
     """
     name = Path(named).name
     with contextlib.suppress(OSError):  # a folder that cannot be listed
-        for candidate in sorted(label_file.parent.iterdir()):
-            if candidate.name.lower() == name.lower():
-                return candidate
+        beside = sorted(label_file.parent.iterdir())
+        for wanted in (name.lower(), f"{name.lower()}.gz"):
+            for candidate in beside:
+                if candidate.name.lower() == wanted:
+                    return candidate
     raise image_error(
         label_file.name, f"the label names {name}, which is not beside it; put both into one folder."
     )
@@ -113,9 +116,13 @@ def _plain(file: Path, data: bytes) -> bytes:
     return unpacked(file.name, data) if data.startswith(GZIP_START) else data
 
 
-def _read_pixels(file: Path, data: bytes, keywords: KeywordMap) -> StoredPicture:
+def _content(file: Path) -> bytes:
+    """Return the bytes of a file, unpacked."""
+    return _plain(file, file_bytes(file))
+
+
+def _read_pixels(file: Path, plain: bytes, keywords: KeywordMap) -> StoredPicture:
     """Read a file that holds pixels, and has a header or a sidecar."""
-    plain = _plain(file, data)
     if is_fits(plain):
         return read_fits(file, plain, keywords)
     if vicar.is_vicar(plain):
@@ -181,8 +188,8 @@ def _read_pds3(label_file: Path, data: bytes, keywords: KeywordMap) -> tuple[Pat
     if pointer.file is None:
         return label_file, pds3.read_pds_raw(label_file.name, data, pointer.offset_bytes, label, keywords)
     pixels = _file_beside(label_file, pointer.file)
-    content = file_bytes(pixels)
-    if is_fits(content) or vicar.is_vicar(content) or content.startswith(GZIP_START):
+    content = _content(pixels)
+    if is_fits(content) or vicar.is_vicar(content):
         source = _read_pixels(pixels, content, keywords)
         return pixels, replace(source, header=label.values | source.header)
     return pixels, pds3.read_pds_raw(pixels.name, content, pointer.offset_bytes, label, keywords)
@@ -192,7 +199,7 @@ def _read_isis(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, Sto
     label = isis_cube.isis_label(data)
     core = isis_cube.detached_core(label)
     pixels = file if core is None else _file_beside(file, core)
-    source = isis_cube.read_isis_cube(pixels.name, label, data if core is None else file_bytes(pixels))
+    source = isis_cube.read_isis_cube(pixels.name, label, data if core is None else _content(pixels))
     return pixels, replace(source, header=isis_cube.in_words_of(label, keywords))
 
 
@@ -203,8 +210,7 @@ def _read_named_by_sidecar(file: Path, keywords: KeywordMap) -> tuple[Path, Stor
             file.name, "is a sidecar that names no picture; give the picture, or add file: NAME."
         )
     pixels = _file_beside(file, named)
-    data = file_bytes(pixels)
-    plain = _plain(pixels, data)
+    plain = _content(pixels)
     if sidecar.is_sidecar(pixels) or is_fits(plain) or vicar.is_vicar(plain):
         raise image_error(file.name, f"names {pixels.name}, which needs no sidecar; give that file.")
     return pixels, _read_with_sidecar(pixels, plain, keywords, file)

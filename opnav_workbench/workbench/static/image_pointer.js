@@ -131,9 +131,14 @@ class ImagePointer {
     const [x1, y1] = [event.clientX - box.left, event.clientY - box.top];
     const shape = this.view.state.drag;
     const r = Math.hypot(x1 - x0, y1 - y0);
-    const [left, top, width, height] =
-      shape === "circle" ? [x0 - r, y0 - r, 2 * r, 2 * r] : [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)];
-    Object.assign(this.band.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px` });
+    const boxes = {
+      circle: [x0 - r, y0 - r, 2 * r, 2 * r],
+      line: [x0, y0, r, 0],
+      box: [Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)],
+    };
+    const [left, top, width, height] = boxes[shape];
+    const turned = shape === "line" ? `rotate(${Math.atan2(y1 - y0, x1 - x0)}rad)` : "";
+    Object.assign(this.band.style, { left: `${left}px`, top: `${top}px`, width: `${width}px`, height: `${height}px`, transform: turned });
     this.band.dataset.shape = shape;
     this.band.hidden = false;
   }
