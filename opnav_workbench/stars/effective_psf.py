@@ -43,6 +43,7 @@ MAX_STEP_PX = 0.3
 JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
 MISFIT_SIGMAS = 3.0  # of all stars together
 PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
+STRANGE_MISFIT = 3.0  # times what the PSF usually leaves of a star's light over: double stars, hits, saturation
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
@@ -230,7 +231,10 @@ def _normal_equations(
     light = (flux * value).reshape(n, -1)
     variance = boxes.variance_dn2.reshape(n, -1) + _shot_noise(light, settings.noise_model)
     residual = boxes.data_dn.reshape(n, -1) - light - known[:, 3:]
-    variance += (_model_error(residual, light, variance) * light) ** 2 if learned else 0.0
+    error = _model_error(residual, light, variance)
+    weight = _star_weights(residual, light, variance, error)
+    variance += (error * light) ** 2 if learned else 0.0
+    variance /= weight[:, None]
     residual += (flux * corrected[0]).reshape(n, -1)
     shares = mode_shares(psf.sigma_px, center, first, size).reshape(n * size**2, -1)
     modes = flux * usual.of(shares.T).T.reshape(n, size**2, -1)
@@ -256,6 +260,14 @@ def _model_error(residual: FloatArray, light: FloatArray, variance: FloatArray) 
     ):
         return 0.0
     return float(np.sqrt(np.median(np.maximum(excess, 0.0) / np.sum(light**2 / variance, axis=1))))
+
+
+def _star_weights(residual: FloatArray, light: FloatArray, variance: FloatArray, error: float) -> FloatArray:
+    """Weights (n,) of stars: 1, and less for those that leave far more over than noise and the usual error of the PSF."""
+    freedom = np.maximum(np.isfinite(variance).sum(axis=1) - 4.0, 1.0)
+    usual = freedom + error**2 * np.sum(light**2 / variance, axis=1)
+    strange = np.sum(residual**2 / variance, axis=1) / usual
+    return np.asarray(np.minimum(STRANGE_MISFIT**2 / np.maximum(strange, 1e-9), 1.0) ** 2)
 
 
 def _shot_noise(light: FloatArray, noise: NoiseModel | None) -> FloatArray | float:

@@ -196,6 +196,22 @@ def test_a_gaussian_stays_at_the_bound():
     assert 0.8 < rms(error / own) < 1.15
 
 
+@pytest.mark.slow
+def test_double_stars_do_not_teach_the_psf():
+    """One star in five has a bright neighbor in no catalog: what these leave over is nobody else's PSF."""
+    shares, rng = pixel_shares(gaussian, 0.55), np.random.default_rng(11)
+    image, center, least, _ = frame(shares, 60, (100, 400), rng)
+    double = np.arange(60) < 12
+    turn = rng.uniform(0.0, 2.0 * np.pi, 12)
+    beside = center[double] + rng.uniform(2.3, 4.0, 12)[:, None] * np.stack([np.cos(turn), np.sin(turn)], 1)
+    for corner, box in zip(corners(beside), boxes_of(shares, beside, corners(beside)), strict=True):
+        image[corner[1] : corner[1] + BOX, corner[0] : corner[0] + BOX] += 3e4 * box
+    fit, _ = fit_stars(image, READ_NOISE_DN, None, center, ShapePrior.round_psf(0.55), noise_model=NOISE)
+    error = (fit.pixel_line - center)[~double]
+    assert rms(error / least[~double]) < 1.3  # 13 where they do
+    assert 0.8 < rms(error / fit.sigma_px[~double]) < 1.2
+
+
 def test_derivatives_of_a_correction_are_those_of_its_shares():
     rng = np.random.default_rng(1)
     count = len(mode_layers())
