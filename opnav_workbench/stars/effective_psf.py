@@ -26,6 +26,7 @@ from opnav_workbench.psf.correction import (
     mode_products,
     mode_shares,
     phases_of_a_pixel,
+    round_and_other,
 )
 from opnav_workbench.stars.boxes import Pixels, box_corners, cut_at
 from opnav_workbench.stars.group_fit import FitSettings
@@ -33,7 +34,7 @@ from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
 __all__ = ["ExpectedPlaces", "learn_correction", "prior_correction", "unknown_correction"]
 
-PRIOR_COUNT = 8.0  # modes that this is worth beside the layer's own
+PRIOR_COUNT = 1.0  # modes that this is worth beside the group's own: a PSF without rings shall say so
 PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
 )
@@ -146,7 +147,7 @@ def learn_correction(
     known = np.column_stack([stars.flux_dn, stars.pixel_line, stars.background_dn])[rows]
     places = None if places is None else places.take(rows)
     usual = _UsualModes.about(psf, settings.size)
-    layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    layers, variance = mode_layers(), _prior_variance()
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
     if kept is not None:
         correction = prior_correction(psf, settings.size, kept)
@@ -174,7 +175,7 @@ def learn_correction(
 
 def prior_correction(psf: ShapePrior, size: int, kept: PsfEvidence) -> PsfCorrection:
     """Return the correction of the Gaussian `psf` that other pictures teach, with its covariance."""
-    usual, variance = _UsualModes.about(psf, size), np.square(PRIOR_AMPLITUDES)
+    usual, variance = _UsualModes.about(psf, size), _prior_variance()
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
     return PsfCorrection(psf.sigma_px, usual.of(amplitudes), usual.of(root))
@@ -322,20 +323,27 @@ class _Back:
         return np.asarray(self.solved[:, -1] - self.solved[:, :-1] @ amplitudes)
 
 
+def _prior_variance() -> FloatArray:
+    """Return the variance of the modes of each group."""
+    return np.repeat(np.square(PRIOR_AMPLITUDES), 2)
+
+
 def _modes_with_variances(
     known: PsfEvidence, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Amplitudes (k,), root (k, k) of their covariance, and the variance of each layer that explains them."""
-    layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    """Amplitudes (k,), root (k, k) of their covariance, and the variance of each group that explains them."""
+    (turn, groups), prior = round_and_other(), _prior_variance()
+    count = np.bincount(groups, minlength=len(prior))
+    matrix, right = turn.T @ known.matrix @ turn, turn.T @ known.right
     for _ in range(VARIANCE_STEPS):
-        sigma = np.sqrt(variance)[layers]
-        scaled = sigma[:, None] * known.matrix * sigma + np.eye(len(sigma))
+        sigma = np.sqrt(variance)[groups]
+        scaled = sigma[:, None] * matrix * sigma + np.eye(len(sigma))
         lower = np.asarray(np.linalg.cholesky(scaled), np.float64)
         root = sigma[:, None] * _inverse_of_lower(lower).T
-        amplitudes = root @ (root.T @ known.right)
-        square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
-        variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
-    return amplitudes, root, variance
+        amplitudes = root @ (root.T @ right)
+        square = np.bincount(groups, amplitudes**2 + np.sum(root**2, axis=1), len(prior))
+        variance = (square + PRIOR_COUNT * prior) / (count + PRIOR_COUNT)
+    return turn @ amplitudes, turn @ root, variance
 
 
 def _inverse_of_lower(matrix: FloatArray) -> FloatArray:
