@@ -54,7 +54,9 @@ LAYERS = (
 # raised until stars of real frames, which fall at other phases in each, repeat nearly within their sigmas.
 PRIOR_AMPLITUDES = (0.5, 0.6, 0.5, 0.2)
 LEAST_VARIANCE = 1e-4  # of a layer's largest mode: weaker ones change no pixel that anybody could measure
-ROUND_SHARE = 0.5  # of the variance of a mode that is called round; but for the square of nodes it would be 0 or 1
+ROUND_SHARE = (
+    0.5  # of the variance of a mode that is called round; but for the square of nodes it would be 0 or 1
+)
 PHASES = 8  # along each axis of a pixel
 PEAK_DENSITY = 1.0 / (2.0 * np.pi)  # of a Gaussian, per sigma^2
 

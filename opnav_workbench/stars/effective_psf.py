@@ -35,6 +35,9 @@ from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 __all__ = ["ExpectedPlaces", "learn_correction", "prior_correction", "unknown_correction"]
 
 PRIOR_COUNT = 1.0  # modes that this is worth beside the group's own: a PSF without rings shall say so
+MOST_VARIANCE = (
+    36.0  # of the prior's: what no star tells, such as light all over a box, would grow without end
+)
 PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
 )
@@ -44,7 +47,9 @@ MAX_STEP_PX = 0.3
 JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
 MISFIT_SIGMAS = 3.0  # of all stars together
 PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
-STRANGE_MISFIT = 3.0  # times what the PSF usually leaves of a star's light over: double stars, hits, saturation
+STRANGE_MISFIT = (
+    3.0  # times what the PSF usually leaves of a star's light over: double stars, hits, saturation
+)
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
@@ -342,7 +347,7 @@ def _modes_with_variances(
         root = sigma[:, None] * _inverse_of_lower(lower).T
         amplitudes = root @ (root.T @ right)
         square = np.bincount(groups, amplitudes**2 + np.sum(root**2, axis=1), len(prior))
-        variance = (square + PRIOR_COUNT * prior) / (count + PRIOR_COUNT)
+        variance = np.minimum((square + PRIOR_COUNT * prior) / (count + PRIOR_COUNT), MOST_VARIANCE * prior)
     return turn @ amplitudes, turn @ root, variance
 
 
