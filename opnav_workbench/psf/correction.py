@@ -89,7 +89,7 @@ def round_and_other() -> tuple[FloatArray, IntArray]:
     """Return a rotation (k, k) of the modes into such as are round and such as are not, and their groups (k,).
 
     A group is twice the layer, plus one for what is not round. Most of what a PSF has beyond a Gaussian, wings, rings or a
-    flat core, is round: each of the two has a variance of its own. Of the layer of pixels, which are square, all is one group.
+    flat core, is round: each of the two has a variance of its own. The layer of pixels, which are square, is one group.
     """
     layers = mode_layers()
     turn, groups = np.eye(len(layers)), 2 * layers
