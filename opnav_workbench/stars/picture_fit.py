@@ -125,7 +125,9 @@ class _PictureFit:
     ) -> None:
         n = len(start)
         self.pixels, self.start, self.profile, self.settings = pixels, start, profile, settings
-        self.rows = FittedStars.empty(n, len(profile.mean), settings.size)
+        errors = profile.errors(np.zeros((1, 2)), np.zeros((1, 2)), settings.size)
+        n_errors = 0 if errors is None else errors.shape[-1]
+        self.rows = FittedStars.empty(n, len(profile.mean), settings.size, n_errors)
         self.hit = np.zeros(n, bool)  # stars with masked pixels in their box
         self.core_hit = np.zeros(n, bool)  # stars that were fitted to a hit
         self.labels = np.arange(n)
@@ -255,6 +257,7 @@ def _star_centers(job: _PictureFit, pixels: Pixels, method: str, inflate: bool) 
         degrees_of_freedom=freedom,
         flags=_flags(job, boxes),
         method=method,
+        common_px=rows.common_px if rows.common_px.shape[2] else None,
         psf_error=job.settings.psf_error,
         images=StarImages(
             first=rows.first,
