@@ -179,7 +179,7 @@ def fit_stars(
     if len(told) > 0 and not _misfit(together[0], told):
         return together
     alone = frame.alone(prior)
-    spoiled = len(_teachers(alone[0])) > 2 * len(told)  # of a PSF this wrong hardly a fit comes to an end
+    spoiled = _spoils(together[0], _teachers(alone[0]))
     return alone if spoiled or _describes_better(alone[0], together[0]) else together
 
 
@@ -201,7 +201,10 @@ class _Frame:
         teachers = _teachers(centers)
         if not _gaussian_may_fail(centers, consensus, teachers):
             return self._unknown(consensus, teachers, centers)
-        return self._taught(_common_shape(consensus), teachers, centers, None)
+        taught = self._taught(_common_shape(consensus), teachers, centers, None)
+        if _spoils(taught[0], teachers) or _describes_better(centers, taught[0]):
+            return self._unknown(consensus, teachers, centers)
+        return taught
 
     def _unknown(
         self, shape: ShapePrior, teachers: IntArray, centers: StarCenters
@@ -349,6 +352,11 @@ def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray
     if len(teachers) < MIN_TEACHERS:
         return False
     return psf.sigma_px < UNDERSAMPLED_SIGMA_PX or _misfit(centers, teachers)
+
+
+def _spoils(centers: StarCenters, teachers: IntArray) -> bool:
+    """Tell whether most of some stars can no longer be fitted: of a wrong PSF hardly a fit comes to an end."""
+    return len(teachers) > 2 * len(_teachers(centers))
 
 
 def _describes_better(one: StarCenters, other: StarCenters) -> bool:
