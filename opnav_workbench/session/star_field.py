@@ -76,9 +76,7 @@ __all__ = [
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
-MIN_SHARP = (
-    30  # detections sharper than a star, or on tracks, that are kept in any case: few stars may be such
-)
+MIN_SHARP = 30  # detections sharper than a star, or on tracks, that are kept in any case: stars may be such
 PIXEL_SIGMA_PX, IMAGE_SIGMAS = 0.3, 4.0  # how far the light of a second image is left out
 IMAGES_OF_A_STAR = 4  # at most, of one that is drawn out
 LIGHT_BETWEEN = 0.5  # of a second image's: where there is more, star and image are one trail

@@ -209,10 +209,8 @@ def in_defect_rows(found: Detections, shape: tuple[int, int]) -> BoolArray:
 
 
 LIGHT_SIGMAS = 2.5  # of the noise: fainter pixels have no say in how an image is drawn out
-TRACK_LENGTH, TRACK_WIDTH = (
-    3.0,
-    2.0,
-)  # second moments along and across, in those of the PSF: at least, at most
+# Second moments of a track along and across, in those of the PSF: at least, at most.
+TRACK_LENGTH, TRACK_WIDTH = 3.0, 2.0
 ALIKE = 0.5  # mean vector of the directions, twice the angle: above, the camera moved and the tracks are its stars
 
 
@@ -221,7 +219,7 @@ def on_tracks(
 ) -> BoolArray:
     """Tell which detections (n,) lie on narrow tracks, of cosmic rays, that run in all directions.
 
-    Where tracks outnumber what is compact, also whatever else is not: they cross.
+    Where most are tracks, also whatever else is not compact: they cross.
 
     Parameters
     ----------
@@ -251,8 +249,8 @@ def on_tracks(
     drawn = (mean + stretch > TRACK_LENGTH * usual) & (mean - stretch < TRACK_WIDTH * usual)
     turn = np.exp(1j * np.arctan2(xy, 0.5 * (xx - yy)))[drawn]
     if len(turn) and abs(turn.mean()) < ALIKE:
-        compact = mean + stretch <= TRACK_LENGTH * usual
-        odd[rows] = drawn if np.count_nonzero(drawn) <= np.count_nonzero(compact) else ~compact
+        crowded = np.count_nonzero(drawn) > 0.5 * len(drawn)
+        odd[rows] = mean + stretch > TRACK_LENGTH * usual if crowded else drawn
     return odd
 
 

@@ -270,10 +270,8 @@ def _star_centers(job: _PictureFit, pixels: Pixels, method: str, inflate: bool) 
 
 # ---- Undersampled stars may lie on either side of their pixel.
 
-MIRRORED_SIGMA_PX = (
-    0.45  # of the PSF's core: below, what tells the side is in pixels that hold little but noise
-)
-MIRRORED_SNR = 40.0
+MIRRORED_SIGMA_PX = 0.45  # of the PSF's core: below, what tells the side is in pixels of little but noise
+MIRRORED_SNR = 40.0  # below; from there on even the dim side of a pixel's neighbors is seen
 MIRRORED_STEPS = np.arange(-6, 7) / 8.0  # px from the fitted center, along each axis
 ELSEWHERE_SIGMAS = 3.0  # of the fit's own covariance
 
