@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
+from scipy.special import i0e
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays, readonly
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
@@ -26,6 +27,7 @@ __all__ = [
     "mode_products",
     "mode_shares",
     "phases_of_a_pixel",
+    "round_and_other",
 ]
 
 
@@ -52,6 +54,9 @@ LAYERS = (
 # raised until stars of real frames, which fall at other phases in each, repeat nearly within their sigmas.
 PRIOR_AMPLITUDES = (0.5, 0.6, 0.5, 0.2)
 LEAST_VARIANCE = 1e-4  # of a layer's largest mode: weaker ones change no pixel that anybody could measure
+ROUND_SHARE = (
+    0.5  # of the variance of a mode that is called round; but for the square of nodes it would be 0 or 1
+)
 PHASES = 8  # along each axis of a pixel
 PEAK_DENSITY = 1.0 / (2.0 * np.pi)  # of a Gaussian, per sigma^2
 
@@ -59,14 +64,52 @@ PEAK_DENSITY = 1.0 / (2.0 * np.pi)  # of a Gaussian, per sigma^2
 @cache
 def _modes(layer: _Layer) -> FloatArray:
     """Modes (k, side, side) of a layer: densities as coefficients of B-splines, [mode, line, pixel]."""
-    at = layer.spacing * np.arange(-layer.half_nodes, layer.half_nodes + 1)
-    line, pixel = (a.ravel() for a in np.meshgrid(at, at, indexing="ij"))
-    fall = layer.amplitude * (1.0 + (pixel**2 + line**2) / layer.core**2) ** -layer.power
-    square = (pixel[:, None] - pixel) ** 2 + (line[:, None] - line) ** 2
-    value, vector = np.linalg.eigh(fall[:, None] * fall * np.exp(-0.5 * square / layer.length**2))
+    at, side = _nodes(layer), 2 * layer.half_nodes + 1
+    square = np.sum((at[:, None] - at) ** 2, axis=-1)
+    value, vector = np.linalg.eigh(_fall(layer) * np.exp(-0.5 * square / layer.length**2))
     kept = value > LEAST_VARIANCE * value[-1]
     modes = PEAK_DENSITY * (vector[:, kept] * np.sqrt(value[kept])).T[::-1]
-    return readonly(modes.reshape(-1, len(at), len(at)))
+    return readonly(modes.reshape(-1, side, side))
+
+
+def _nodes(layer: _Layer) -> FloatArray:
+    """Places (side^2, 2) of a layer's nodes in sigmas."""
+    at = layer.spacing * np.arange(-layer.half_nodes, layer.half_nodes + 1)
+    return np.stack(np.meshgrid(at, at, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _fall(layer: _Layer) -> FloatArray:
+    """Product of the amplitudes at two nodes each."""
+    fall = layer.amplitude * (1.0 + np.sum(_nodes(layer) ** 2, axis=1) / layer.core**2) ** -layer.power
+    return np.asarray(fall[:, None] * fall)
+
+
+@cache
+def round_and_other() -> tuple[FloatArray, IntArray]:
+    """Return a rotation (k, k) of the modes into such as are round and such as are not, and their groups (k,).
+
+    A group is twice the layer, plus one for what is not round. Most of what a PSF has beyond a Gaussian, wings, rings or a
+    flat core, is round: each of the two has a variance of its own. The layer of pixels, which are square, is one group.
+    """
+    layers = mode_layers()
+    turn, groups = np.eye(len(layers)), 2 * layers
+    for i, layer in enumerate(LAYERS):
+        if layer.integrated:
+            rows = np.flatnonzero(layers == i)
+            share, axes = np.linalg.eigh(_round_part(layer))
+            turn[np.ix_(rows, rows)] = axes
+            groups[rows] += share < ROUND_SHARE
+    groups.setflags(write=False)
+    return readonly(turn), groups
+
+
+def _round_part(layer: _Layer) -> FloatArray:
+    """Covariance (k, k) of the modes' amplitudes, before 1 each, if only the mean over all turns of the layer is left."""
+    radius = np.sqrt(np.sum(_nodes(layer) ** 2, axis=1)) / layer.length
+    mean = np.exp(-0.5 * (radius[:, None] - radius) ** 2) * i0e(radius[:, None] * radius)
+    modes = _modes(layer).reshape(-1, len(radius)) / PEAK_DENSITY
+    inverse = modes / np.sum(modes**2, axis=1, keepdims=True)
+    return np.asarray(inverse @ (_fall(layer) * mean) @ inverse.T)
 
 
 @cache

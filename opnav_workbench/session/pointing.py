@@ -272,6 +272,7 @@ def _solved(
         context.camera,
         inputs.a_priori_camera_from_j2000,
         catalog_covariance_px2=state.a_priori.covariance_px2,
+        common_px=state.centers.common_px,
         model=model,
         usable=usable,
         trusted=[verdict == ACCEPTED for verdict in verdicts],

@@ -52,6 +52,7 @@ from opnav_workbench.stars import (
     identify_marked,
     identify_sky,
     in_defect_rows,
+    on_tracks,
     second_images,
 )
 from opnav_workbench.stars.pointing import places_even_behind
@@ -75,7 +76,7 @@ __all__ = [
 # to do with the catalog three in a thousand do, and none reaches the 0.999 of a sure identification.
 MIN_CONFIDENCE = 0.8
 MAX_DETECTIONS = 300  # brightest: enough for any pattern
-MIN_SHARP = 30  # detections sharper than a star that are kept in any case: few stars may be such
+MIN_SHARP = 30  # detections sharper than a star, or on tracks, that are kept in any case: stars may be such
 PIXEL_SIGMA_PX, IMAGE_SIGMAS = 0.3, 4.0  # how far the light of a second image is left out
 IMAGES_OF_A_STAR = 4  # at most, of one that is drawn out
 LIGHT_BETWEEN = 0.5  # of a second image's: where there is more, star and image are one trail
@@ -380,8 +381,11 @@ def _detected(context: Context) -> Detections:
     found = found.take(np.flatnonzero(~in_defect_rows(found, context.signal_dn.shape)))
     # Hot pixels and cosmic rays may outnumber and outshine the stars: as many of them as of what looks like a star.
     sharp = (found.flags & StarFlag.COSMIC_RAY) != 0
-    crowd = np.cumsum(sharp) > max(MIN_SHARP, np.count_nonzero(~sharp))
-    return found.take(np.flatnonzero(~(sharp & crowd))[:MAX_DETECTIONS])
+    widest_px = camera.psf.sigma_px + camera.psf.sigma_sigma_px
+    track = on_tracks(context.signal_dn, context.noise_dn, found, widest_px)
+    crowd = sharp & (np.cumsum(sharp) > max(MIN_SHARP, np.count_nonzero(~sharp & ~track)))
+    crowd |= track & (np.cumsum(track) > MIN_SHARP)
+    return found.take(np.flatnonzero(~crowd)[:MAX_DETECTIONS])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -189,6 +189,9 @@ def with_flanks(context: Context, centers: StarCenters, start: FloatArray, psf: 
     changed: dict[str, Any] = {name: np.array(getattr(centers, name)) for name in columns}
     for name, values in columns.items():
         changed[name][rows] = values
+    if centers.common_px is not None:
+        changed["common_px"] = np.array(centers.common_px)
+        changed["common_px"][rows] = 0.0
     return replace(centers, **changed)
 
 
@@ -348,7 +351,9 @@ def _is_like(context: Context, template: StarTemplate, others: StarCenters, matc
 
 NOT_MEASURED = {"flags": int(StarFlag.NOT_FINITE), "degrees_of_freedom": 0.0}
 PER_STAR = tuple(
-    field.name for field in fields(StarCenters) if field.name not in ("method", "psf_error", "images")
+    field.name
+    for field in fields(StarCenters)
+    if field.name not in ("method", "psf_error", "images", "common_px")
 )
 
 
@@ -359,7 +364,9 @@ def center_rows(centers: StarCenters, rows: IntArray) -> StarCenters:
         images = replace(
             images, **{f.name: v[rows] for f in fields(images) if (v := getattr(images, f.name)) is not None}
         )
-    return replace(centers, images=images, **{name: getattr(centers, name)[rows] for name in PER_STAR})
+    common = None if centers.common_px is None else centers.common_px[rows]
+    columns = {name: getattr(centers, name)[rows] for name in PER_STAR}
+    return replace(centers, images=images, common_px=common, **columns)
 
 
 def centers_with_rows(base: StarCenters | None, n: int, rows: IntArray, fresh: StarCenters) -> StarCenters:
@@ -374,7 +381,20 @@ def centers_with_rows(base: StarCenters | None, n: int, rows: IntArray, fresh: S
         columns[name] = column
     images = _images_with_rows(None if base is None else base.images, n, rows, fresh.images)
     kept = fresh if base is None else base
-    return replace(kept, images=images, **columns)
+    common = _common_with_rows(None if base is None else base.common_px, n, rows, fresh.common_px)
+    return replace(kept, images=images, common_px=common, **columns)
+
+
+def _common_with_rows(
+    base: FloatArray | None, n: int, rows: IntArray, fresh: FloatArray | None
+) -> FloatArray | None:
+    """Errors that stars share: those measured now have them only if theirs are of the same PSF."""
+    if base is None:
+        return None
+    column = np.zeros((n, *base.shape[1:]))
+    column[: len(base)] = base
+    column[rows] = fresh if fresh is not None and fresh.shape[1:] == base.shape[1:] else 0.0
+    return column
 
 
 def _images_with_rows(

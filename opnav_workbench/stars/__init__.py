@@ -14,7 +14,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 ``correlation``
     First centers by matched filter or cross-correlation with a template: `correlate`.
 ``detection``
-    Blind detection: `detect` and its `Detections`; `in_defect_rows` tells those of hot columns and lines.
+    Blind detection: `detect` and its `Detections`; `in_defect_rows` and `on_tracks` tell what is none of a star's.
 ``effective_psf``
     The correction to a Gaussian that all stars of a picture agree on.
 ``evidence``
@@ -56,7 +56,7 @@ Units  DN and px; fluxes are totals of a star, noise is 1 sigma
 from opnav_workbench.stars.center_bounds import CenterBound, cramer_rao, flux_at_snr
 from opnav_workbench.stars.companions import with_companions
 from opnav_workbench.stars.correlation import StarTemplate, correlate, extract_template, gaussian_template
-from opnav_workbench.stars.detection import Detections, detect, in_defect_rows
+from opnav_workbench.stars.detection import Detections, detect, in_defect_rows, on_tracks
 from opnav_workbench.stars.effective_psf import ExpectedPlaces
 from opnav_workbench.stars.evidence import Identification
 from opnav_workbench.stars.flags import StarFlag, describe_flags
@@ -105,6 +105,7 @@ __all__ = [
     "identify_marked",
     "identify_sky",
     "in_defect_rows",
+    "on_tracks",
     "second_images",
     "shape_from_stars",
     "strange_images",

@@ -20,11 +20,12 @@ from scipy.ndimage import correlate1d
 from scipy.special import erf, gammainc
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.stars.boxes import Pixels, check_image
 from opnav_workbench.stars.flags import StarFlag, combine_flags
 
-__all__ = ["Detections", "detect", "in_defect_rows"]
+__all__ = ["Detections", "detect", "in_defect_rows", "on_tracks"]
 
 
 # ---- What blind detection finds in an image.
@@ -204,6 +205,52 @@ def in_defect_rows(found: Detections, shape: tuple[int, int]) -> BoolArray:
         usual = np.maximum(usual, np.median(count)) + 1.0
         many = gammainc(np.maximum(count, 1), usual) < ROW_CHANCE / width  # Poisson: that many or more
         odd |= (many & (last - first > ROW_SPAN * length))[at]
+    return odd
+
+
+LIGHT_SIGMAS = 2.5  # of the noise: fainter pixels have no say in how an image is drawn out
+# Second moments of a track along and across, in those of the PSF: at least, at most.
+TRACK_LENGTH, TRACK_WIDTH = 3.0, 2.0
+ALIKE = 0.5  # mean vector of the directions, twice the angle: above, the camera moved and the tracks are its stars
+
+
+def on_tracks(
+    image_dn: FloatArray, noise_dn: FloatArray | float, found: Detections, sigma_px: float
+) -> BoolArray:
+    """Tell which detections (n,) lie on narrow tracks, of cosmic rays, that run in all directions.
+
+    Where most are tracks, also whatever else is not compact: they cross.
+
+    Parameters
+    ----------
+    image_dn, noise_dn
+        As in `detect`.
+    sigma_px
+        The largest that the PSF may be.
+    """
+    noise = np.broadcast_to(np.asarray(noise_dn, float), image_dn.shape)
+    half = int(np.ceil(KERNEL_SIGMAS * sigma_px)) + 1
+    middle = np.rint(found.pixel_line).astype(int)
+    whole = np.all((middle >= half) & (middle < np.array(image_dn.shape[::-1]) - half), axis=1)
+    odd = np.zeros(len(found), bool)
+    rows = np.flatnonzero(whole)
+    step = np.arange(-half, half + 1)
+    window = middle[rows, 1, None, None] + step[:, None], middle[rows, 0, None, None] + step
+    light = image_dn[window] - _image_median(image_dn, np.isfinite(image_dn) & np.isfinite(noise))
+    with np.errstate(invalid="ignore"):
+        light = np.where(light > LIGHT_SIGMAS * noise[window], light, 0.0)
+    total = np.maximum(light.sum(axis=(1, 2)), np.finfo(float).tiny)
+    x, y = (np.sum(light * axis, axis=(1, 2)) / total for axis in (step, step[:, None]))
+    xx = np.sum(light * (step - x[:, None, None]) ** 2, axis=(1, 2)) / total
+    yy = np.sum(light * (step[:, None] - y[:, None, None]) ** 2, axis=(1, 2)) / total
+    xy = np.sum(light * step * step[:, None], axis=(1, 2)) / total - x * y
+    mean, stretch = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    usual = sigma_px**2 + PIXEL_VARIANCE_PX2
+    drawn = (mean + stretch > TRACK_LENGTH * usual) & (mean - stretch < TRACK_WIDTH * usual)
+    turn = np.exp(1j * np.arctan2(xy, 0.5 * (xx - yy)))[drawn]
+    if len(turn) and abs(turn.mean()) < ALIKE:
+        crowded = np.count_nonzero(drawn) > 0.5 * len(drawn)
+        odd[rows] = mean + stretch > TRACK_LENGTH * usual if crowded else drawn
     return odd
 
 

@@ -26,6 +26,7 @@ from opnav_workbench.psf.correction import (
     mode_products,
     mode_shares,
     phases_of_a_pixel,
+    round_and_other,
 )
 from opnav_workbench.stars.boxes import Pixels, box_corners, cut_at
 from opnav_workbench.stars.group_fit import FitSettings
@@ -33,7 +34,10 @@ from opnav_workbench.stars.results import NoiseModel, ShapePrior, StarCenters
 
 __all__ = ["ExpectedPlaces", "learn_correction", "prior_correction", "unknown_correction"]
 
-PRIOR_COUNT = 8.0  # modes that this is worth beside the layer's own
+PRIOR_COUNT = 1.0  # modes that this is worth beside the group's own: a PSF without rings shall say so
+MOST_VARIANCE = (
+    36.0  # of the prior's: what no star tells, such as light all over a box, would grow without end
+)
 PASSES = (
     6  # of the linear problem about the centers that the one before found; the last moves them by 1e-3 px
 )
@@ -43,6 +47,9 @@ MAX_STEP_PX = 0.3
 JUDGED_FROM = 3  # pass from which places worse than stated count for less: before, a wrong PSF scatters them
 MISFIT_SIGMAS = 3.0  # of all stars together
 PHASE_ERROR_PX = 0.1  # of centers by a wrong PSF
+STRANGE_MISFIT = (
+    3.0  # times what the PSF usually leaves of a star's light over: double stars, hits, saturation
+)
 PLACE_FLOOR_PX = 0.03  # of expected places: the camera's distortion is rarely known better
 MAX_PLACE_SIGMAS = 4.0  # a star farther from its place than this has another motion, or is another star
 FLAT = 1e-12  # prior information of what is free
@@ -145,7 +152,7 @@ def learn_correction(
     known = np.column_stack([stars.flux_dn, stars.pixel_line, stars.background_dn])[rows]
     places = None if places is None else places.take(rows)
     usual = _UsualModes.about(psf, settings.size)
-    layers, variance = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    layers, variance = mode_layers(), _prior_variance()
     correction = PsfCorrection(psf.sigma_px, np.zeros(len(layers)), np.zeros((len(layers), 0)))
     if kept is not None:
         correction = prior_correction(psf, settings.size, kept)
@@ -173,7 +180,7 @@ def learn_correction(
 
 def prior_correction(psf: ShapePrior, size: int, kept: PsfEvidence) -> PsfCorrection:
     """Return the correction of the Gaussian `psf` that other pictures teach, with its covariance."""
-    usual, variance = _UsualModes.about(psf, size), np.square(PRIOR_AMPLITUDES)
+    usual, variance = _UsualModes.about(psf, size), _prior_variance()
     for _ in range(PASSES):
         amplitudes, root, variance = _modes_with_variances(kept, variance)
     return PsfCorrection(psf.sigma_px, usual.of(amplitudes), usual.of(root))
@@ -230,7 +237,10 @@ def _normal_equations(
     light = (flux * value).reshape(n, -1)
     variance = boxes.variance_dn2.reshape(n, -1) + _shot_noise(light, settings.noise_model)
     residual = boxes.data_dn.reshape(n, -1) - light - known[:, 3:]
-    variance += (_model_error(residual, light, variance) * light) ** 2 if learned else 0.0
+    error = _model_error(residual, light, variance)
+    weight = _star_weights(residual, light, variance, error)
+    variance += (error * light) ** 2 if learned else 0.0
+    variance /= weight[:, None]
     residual += (flux * corrected[0]).reshape(n, -1)
     shares = mode_shares(psf.sigma_px, center, first, size).reshape(n * size**2, -1)
     modes = flux * usual.of(shares.T).T.reshape(n, size**2, -1)
@@ -256,6 +266,14 @@ def _model_error(residual: FloatArray, light: FloatArray, variance: FloatArray) 
     ):
         return 0.0
     return float(np.sqrt(np.median(np.maximum(excess, 0.0) / np.sum(light**2 / variance, axis=1))))
+
+
+def _star_weights(residual: FloatArray, light: FloatArray, variance: FloatArray, error: float) -> FloatArray:
+    """Weights (n,) of stars: 1, and less for those that leave far more over than noise and the usual error of the PSF."""
+    freedom = np.maximum(np.isfinite(variance).sum(axis=1) - 4.0, 1.0)
+    usual = freedom + error**2 * np.sum(light**2 / variance, axis=1)
+    strange = np.sum(residual**2 / variance, axis=1) / usual
+    return np.asarray(np.minimum(STRANGE_MISFIT**2 / np.maximum(strange, 1e-9), 1.0) ** 2)
 
 
 def _shot_noise(light: FloatArray, noise: NoiseModel | None) -> FloatArray | float:
@@ -310,20 +328,27 @@ class _Back:
         return np.asarray(self.solved[:, -1] - self.solved[:, :-1] @ amplitudes)
 
 
+def _prior_variance() -> FloatArray:
+    """Return the variance of the modes of each group."""
+    return np.repeat(np.square(PRIOR_AMPLITUDES), 2)
+
+
 def _modes_with_variances(
     known: PsfEvidence, variance: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Amplitudes (k,), root (k, k) of their covariance, and the variance of each layer that explains them."""
-    layers, prior = mode_layers(), np.square(PRIOR_AMPLITUDES)
+    """Amplitudes (k,), root (k, k) of their covariance, and the variance of each group that explains them."""
+    (turn, groups), prior = round_and_other(), _prior_variance()
+    count = np.bincount(groups, minlength=len(prior))
+    matrix, right = turn.T @ known.matrix @ turn, turn.T @ known.right
     for _ in range(VARIANCE_STEPS):
-        sigma = np.sqrt(variance)[layers]
-        scaled = sigma[:, None] * known.matrix * sigma + np.eye(len(sigma))
+        sigma = np.sqrt(variance)[groups]
+        scaled = sigma[:, None] * matrix * sigma + np.eye(len(sigma))
         lower = np.asarray(np.linalg.cholesky(scaled), np.float64)
         root = sigma[:, None] * _inverse_of_lower(lower).T
-        amplitudes = root @ (root.T @ known.right)
-        square = np.bincount(layers, amplitudes**2 + np.sum(root**2, axis=1))
-        variance = (square + PRIOR_COUNT * prior) / (np.bincount(layers) + PRIOR_COUNT)
-    return amplitudes, root, variance
+        amplitudes = root @ (root.T @ right)
+        square = np.bincount(groups, amplitudes**2 + np.sum(root**2, axis=1), len(prior))
+        variance = np.minimum((square + PRIOR_COUNT * prior) / (count + PRIOR_COUNT), MOST_VARIANCE * prior)
+    return turn @ amplitudes, turn @ root, variance
 
 
 def _inverse_of_lower(matrix: FloatArray) -> FloatArray:

@@ -199,6 +199,9 @@ class FittedStars:
     parameters: FloatArray  # (n, 3 + n_shape) flux, pixel, line, shape
     covariance: FloatArray  # (n, 3 + n_shape, 3 + n_shape) from the noise alone
     psf_covariance: FloatArray  # what the error of the PSF model adds to it
+    common_px: (
+        FloatArray  # (n, 2, r) what one-sigma errors of a PSF that was learned make of all centers at once
+    )
     background_dn: FloatArray  # (n,) at the star
     chi2: FloatArray  # (n,)
     psf_chi2: FloatArray  # (n,) what the error of the PSF model adds to it
@@ -211,13 +214,14 @@ class FittedStars:
     sigma_dn: FloatArray  # (n, size, size) noise of the pixels, infinite where unused
 
     @classmethod
-    def empty(cls, n: int, n_shape: int, size: int) -> "FittedStars":
+    def empty(cls, n: int, n_shape: int, size: int, n_errors: int = 0) -> "FittedStars":
         """Return rows to be filled."""
         q = PER_STAR + n_shape
         return cls(
             parameters=np.zeros((n, q)),
             covariance=np.zeros((n, q, q)),
             psf_covariance=np.zeros((n, q, q)),
+            common_px=np.zeros((n, 2, n_errors)),
             background_dn=np.zeros(n),
             chi2=np.zeros(n),
             psf_chi2=np.zeros(n),
@@ -369,7 +373,7 @@ def _star_by_star(
     shape = np.arange(model.shape_columns.start, model.shape_columns.stop)
     own = np.hstack([PER_STAR * np.arange(k)[:, None] + np.arange(PER_STAR), np.tile(shape, (k, 1))])
     blocks = np.index_exp[:, own[:, :, None], own[:, None, :]]
-    added, excess = _psf_error(solution, covariance, model, settings.psf_error)
+    added, excess, common = _psf_error(solution, covariance, model, settings.psf_error)
     sigma = np.where(
         final.weight > 0.0, 1.0 / np.sqrt(np.where(final.weight > 0.0, final.weight, 1.0)), np.inf
     )
@@ -377,7 +381,7 @@ def _star_by_star(
     center = p[:, model.center_columns]
 
     def flat(values: FloatArray) -> FloatArray:
-        return values.reshape(-1, *values.shape[2:])
+        return values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
 
     def repeat(values: FloatArray) -> FloatArray:
         return np.repeat(values, k, axis=0)
@@ -386,6 +390,7 @@ def _star_by_star(
         parameters=flat(p[:, own]),
         covariance=flat(covariance[blocks]),
         psf_covariance=flat(added[blocks]),
+        common_px=flat(common[:, model.center_columns]),
         background_dn=flat(model.background_at(center, p)),
         chi2=repeat(solution.chi2),
         psf_chi2=repeat(excess),
@@ -401,16 +406,19 @@ def _star_by_star(
 
 def _psf_error(
     solution: BatchSolution, covariance: FloatArray, model: StarModel, error: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Covariance that errors of the PSF model add, and their chi2: a fraction of each star's light, and what was learned.
+
+    The last item is what each one-sigma error of the latter makes of the parameters, (g, q, r).
 
     With C the inverse normal matrix, parameters follow the data by C J'W, so a covariance V adds C J'W V WJ C.
     """
     final = solution.final
     learned = model.psf_errors(solution.parameters)
     added, chi2 = np.zeros_like(covariance), np.zeros(len(covariance))
+    moved = np.zeros((*covariance.shape[:2], 0))
     if error == 0.0 and learned is None:
-        return added, chi2
+        return added, chi2, moved
     gain = np.matmul(covariance, final.jacobian * final.weight[:, None, :])
     if error > 0.0:
         variance = (error * model.light(solution.parameters, final)) ** 2
@@ -420,7 +428,7 @@ def _psf_error(
         moved = np.matmul(gain, learned)
         added = added + np.matmul(moved, np.swapaxes(moved, 1, 2))
         chi2 = chi2 + np.einsum("gm,gmr->g", final.weight, learned**2)
-    return added, chi2
+    return added, chi2, moved
 
 
 def _windows(values: FloatArray, corner: IntArray, side: int, size: int) -> FloatArray:

@@ -125,7 +125,9 @@ class _PictureFit:
     ) -> None:
         n = len(start)
         self.pixels, self.start, self.profile, self.settings = pixels, start, profile, settings
-        self.rows = FittedStars.empty(n, len(profile.mean), settings.size)
+        errors = profile.errors(np.zeros((1, 2)), np.zeros((1, 2)), settings.size)
+        n_errors = 0 if errors is None else errors.shape[-1]
+        self.rows = FittedStars.empty(n, len(profile.mean), settings.size, n_errors)
         self.hit = np.zeros(n, bool)  # stars with masked pixels in their box
         self.core_hit = np.zeros(n, bool)  # stars that were fitted to a hit
         self.labels = np.arange(n)
@@ -234,6 +236,7 @@ def _star_centers(job: _PictureFit, pixels: Pixels, method: str, inflate: bool) 
     chi2_reduced = rows.chi2 / np.maximum(freedom, 1.0) * blank
     covariance = rows.covariance.copy()
     covariance[:, PIXEL : LINE + 1, PIXEL : LINE + 1] *= faint_factor(job.snr)[:, None, None]
+    covariance[:, PIXEL : LINE + 1, PIXEL : LINE + 1] += _spread_of_phases(job)
     covariance += rows.psf_covariance
     if inflate:
         explained = 1.0 + rows.psf_chi2 / np.maximum(freedom, 1.0)
@@ -254,6 +257,7 @@ def _star_centers(job: _PictureFit, pixels: Pixels, method: str, inflate: bool) 
         degrees_of_freedom=freedom,
         flags=_flags(job, boxes),
         method=method,
+        common_px=rows.common_px if rows.common_px.shape[2] else None,
         psf_error=job.settings.psf_error,
         images=StarImages(
             first=rows.first,
@@ -262,6 +266,61 @@ def _star_centers(job: _PictureFit, pixels: Pixels, method: str, inflate: bool) 
             sigma_dn=rows.sigma_dn,
         ),
     )
+
+
+# ---- Undersampled stars may lie on either side of their pixel.
+
+MIRRORED_SIGMA_PX = 0.45  # of the PSF's core: below, what tells the side is in pixels of little but noise
+MIRRORED_SNR = 40.0  # below; from there on even the dim side of a pixel's neighbors is seen
+MIRRORED_STEPS = np.arange(-6, 7) / 8.0  # px from the fitted center, along each axis
+ELSEWHERE_SIGMAS = 3.0  # of the fit's own covariance
+
+
+def _spread_of_phases(job: _PictureFit) -> FloatArray:
+    """Covariance (n, 2, 2) that other places in and beside its pixel add to an undersampled faint star's.
+
+    A fit ends in one minimum and knows its bend alone. Each place is as likely as what the best flux and level leave there.
+    """
+    rows, added = job.rows, np.zeros((len(job.start), 2, 2))
+    if job.profile.core_px >= MIRRORED_SIGMA_PX:
+        return added
+    alone = np.bincount(job.labels, minlength=len(job.start))[job.labels] == 1
+    with np.errstate(invalid="ignore"):
+        faint = np.flatnonzero(rows.determined & alone & (job.snr < MIRRORED_SNR) & (job.snr >= MIN_SNR))
+    if len(faint) == 0:
+        return added
+    own = rows.covariance[faint, PIXEL : LINE + 1, PIXEL : LINE + 1]
+    step = np.stack(np.meshgrid(MIRRORED_STEPS, MIRRORED_STEPS), axis=-1).reshape(-1, 2)
+    excess = _chi2_at(job, faint, step) - rows.chi2[faint, None]
+    elsewhere = np.einsum("sa,nab,sb->ns", step, np.linalg.inv(own), step) > ELSEWHERE_SIGMAS**2
+    cell = (MIRRORED_STEPS[1] - MIRRORED_STEPS[0]) ** 2
+    odds = np.where(elsewhere, np.exp(-0.5 * np.maximum(excess, 0.0)), 0.0) * cell
+    here = 2.0 * np.pi * np.sqrt(np.linalg.det(own))
+    share = odds / (here + odds.sum(axis=1))[:, None]
+    added[faint] = np.einsum("ns,sa,sb->nab", share, step, step)
+    return added
+
+
+def _chi2_at(job: _PictureFit, stars: IntArray, step: FloatArray) -> FloatArray:
+    """Chi-square (k, s) of stars moved by steps (s, 2), flux and level as fit best there."""
+    rows, size = job.rows, job.settings.size
+    k, s = len(stars), len(step)
+    center = rows.parameters[stars, None, PIXEL : LINE + 1] + step
+    first = np.repeat(rows.first[stars], s, axis=0).astype(float)
+    light = job.profile.value(center.reshape(-1, 2), first, size).reshape(k, s, -1)
+    sigma = rows.sigma_dn[stars].reshape(k, -1)
+    weight = np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0) ** 2, 0.0)
+    data = np.where(weight > 0.0, cut_at(job.pixels, rows.first[stars], size).data_dn.reshape(k, -1), 0.0)
+    data = data - rows.background_dn[stars, None]
+    one = weight.sum(axis=1)[:, None]
+    mean_light, mean_data = (
+        (light @ weight[:, :, None])[:, :, 0] / one,
+        np.sum(weight * data, axis=1)[:, None] / one,
+    )
+    both = (light @ (weight * data)[:, :, None])[:, :, 0] - one * mean_light * mean_data
+    square = (light**2 @ weight[:, :, None])[:, :, 0] - one * mean_light**2
+    left = np.sum(weight * data**2, axis=1)[:, None] - one * mean_data**2
+    return np.asarray(left - np.maximum(both, 0.0) ** 2 / np.maximum(square, np.finfo(float).tiny))
 
 
 def misfit_factor(chi2_reduced: FloatArray, degrees_of_freedom: FloatArray) -> FloatArray:

@@ -179,7 +179,7 @@ def fit_stars(
     if len(told) > 0 and not _misfit(together[0], told):
         return together
     alone = frame.alone(prior)
-    spoiled = len(_teachers(alone[0])) > 2 * len(told)  # of a PSF this wrong hardly a fit comes to an end
+    spoiled = _spoils(together[0], _teachers(alone[0]))
     return alone if spoiled or _describes_better(alone[0], together[0]) else together
 
 
@@ -201,15 +201,17 @@ class _Frame:
         teachers = _teachers(centers)
         if not _gaussian_may_fail(centers, consensus, teachers):
             return self._unknown(consensus, teachers, centers)
-        return self._taught(_common_shape(consensus), teachers, centers, None)
+        taught = self._taught(_common_shape(consensus), teachers, centers, None)
+        if _spoils(taught[0], teachers) or _describes_better(centers, taught[0]):
+            return self._unknown(consensus, teachers, centers)
+        return taught
 
     def _unknown(
         self, shape: ShapePrior, teachers: IntArray, centers: StarCenters
     ) -> tuple[StarCenters, ShapePrior]:
         """Keep the Gaussian, and let the sigmas of undersampled stars have what nobody knows of the light in a pixel.
 
-        What few stars say of it is too little to move centers by: a Gaussian's would err by a third more. How much it may be
-        they tell nevertheless.
+        What one or two stars say of it is too little to move centers by. How much it may be they tell nevertheless.
         """
         if shape.sigma_px >= UNDERSAMPLED_SIGMA_PX:
             return centers, shape
@@ -298,7 +300,7 @@ STRANGE_MISFIT = 3.0  # times what is usual: no star of the same PSF
 STRANGE_SHARE = 0.4  # of the light, left over by a fit: less may be a neighbor's wing
 MIN_ALIKE = 2  # stars without a hit that tell what is usual
 MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
-MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
+FEW_TEACHERS = 8  # among these a track taken for a star would be heard
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
 COMMON_SHAPE_SIGMA = (
     0.01  # of its log scale and ellipticity from star to star until they tell: most of what shows is phase
@@ -310,7 +312,7 @@ def _teachers(centers: StarCenters) -> IntArray:
     """Return the rows of the brightest well-exposed stars, without those that fit far worse than the others."""
     rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
     whole = rows[(centers.flags[rows] & int(StarFlag.HIT)) == 0]
-    if len(whole) >= MIN_ALIKE and len(rows) < MIN_BLIND_TEACHERS:
+    if len(whole) >= MIN_ALIKE and len(rows) < FEW_TEACHERS:
         rows = whole  # among few, a track taken for a star would be heard
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
     return np.sort(brightest)
@@ -349,8 +351,12 @@ def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray
     """Tell whether a Gaussian may not describe the stars: it visibly does not, or nobody could see it."""
     if len(teachers) < MIN_TEACHERS:
         return False
-    blind = psf.sigma_px < UNDERSAMPLED_SIGMA_PX and len(teachers) >= MIN_BLIND_TEACHERS
-    return blind or _misfit(centers, teachers)
+    return psf.sigma_px < UNDERSAMPLED_SIGMA_PX or _misfit(centers, teachers)
+
+
+def _spoils(centers: StarCenters, teachers: IntArray) -> bool:
+    """Tell whether most of some stars can no longer be fitted: of a wrong PSF hardly a fit comes to an end."""
+    return len(teachers) > 2 * len(_teachers(centers))
 
 
 def _describes_better(one: StarCenters, other: StarCenters) -> bool:

@@ -209,6 +209,9 @@ class StarCenters:
     method: str
     psf_error: float = 0.0  # relative error of the PSF model that the covariance allows for
     images: StarImages | None = None  # what a person looks at
+    # (n, 2, r) what each of r independent one-sigma errors of a PSF learned from these stars makes of all centers at once;
+    # part of `covariance_px2`
+    common_px: FloatArray | None = None
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

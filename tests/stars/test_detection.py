@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.stars import Detections, StarFlag, detect, in_defect_rows
+from opnav_workbench.stars import Detections, StarFlag, detect, in_defect_rows, on_tracks
 
 NOISE_DN = 3.0
 
@@ -152,3 +152,28 @@ def test_hot_columns_are_told_from_stars_trails_and_clusters(axis):
     odd = in_defect_rows(Detections(places, ones, ones, ones, np.zeros(len(places), int)), (256, 256))
     assert odd[-40:].all()
     assert np.count_nonzero(odd[:-40]) <= 3  # of those that happen to lie in it
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_tracks_in_all_directions_are_told_from_stars(render_stars, star_grid, moved):
+    """Sixty narrow tracks of any direction; of one direction they are the stars of a camera that moved."""
+    rng = np.random.default_rng(5)
+    centers, shape = star_grid(25, 40, rng)
+    image = render_stars(shape, centers, 400.0, 0.8) + rng.normal(0.0, NOISE_DN, shape)
+    turn = np.where(moved, 0.6, rng.uniform(0.0, np.pi, 60))
+    along = np.linspace(0.0, 18.0, 60)
+    tracks = (
+        rng.uniform(20.0, np.array(shape[::-1]) - 20.0, (60, 1, 2))
+        + along[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)[:, None]
+    )
+    pixel, line = np.rint(np.clip(tracks, 0, np.array(shape[::-1]) - 1)).astype(int).reshape(-1, 2).T
+    image[line, pixel] += 60.0
+    found = detect(image, NOISE_DN, None, 0.8)
+    odd = on_tracks(image, NOISE_DN, found, 0.9)
+    if moved:
+        assert not odd.any()
+        return
+    to_star = cKDTree(centers).query(found.pixel_line)[0]
+    to_track = cKDTree(tracks.reshape(-1, 2)).query(found.pixel_line)[0]
+    assert np.mean(odd[(to_star < 1.0) & (to_track > 8.0)]) == 0.0
+    assert np.mean(odd[to_track < 1.0]) > 0.8

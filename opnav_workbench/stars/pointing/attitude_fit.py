@@ -25,6 +25,7 @@ __all__ = [
     "LinearizedProblem",
     "PointingProblem",
     "fit_attitude",
+    "with_common_errors",
     "with_excess_covariance",
 ]
 
@@ -232,13 +233,39 @@ def fit_attitude(
 
 def with_excess_covariance(fit: AttitudeFit, excess_sigma_px: float) -> AttitudeFit:
     """Return the same attitude, its covariance that of centers with an excess error the weights do not know of."""
-    rows, _ = fit.linear.rows(0.0)
-    gain = np.linalg.solve(rows.T @ rows, rows.T)[:, : fit.linear.residual_px.size]
     # Whitened centers have unit variance and, of the excess, that of the whitening itself.
-    whiten = _whitening(fit.linear.covariance_px2, 0.0)
-    parts = gain.reshape(3, -1, 2).transpose(1, 0, 2) @ whiten  # (n, 3, 2) rad per px of each center
+    parts = _per_center(fit, 0.0)
     added = excess_sigma_px**2 * np.sum(parts @ np.swapaxes(parts, 1, 2), axis=0)
     return replace(fit, covariance_rad2=symmetric(fit.covariance_rad2 + added))
+
+
+def with_common_errors(fit: AttitudeFit, common_px: FloatArray, excess_sigma_px: float) -> AttitudeFit:
+    """Return the same attitude, its covariance that of centers that share errors.
+
+    Parameters
+    ----------
+    common_px : (n, 2, r) array
+        What each of r independent one-sigma errors makes of the used stars' centers at once. As errors of each star for
+        itself they are in the covariances already.
+    excess_sigma_px
+        With which the stars were weighted.
+    """
+    each = _per_center(fit, excess_sigma_px) @ common_px  # (n, 3, r)
+    shared = np.sum(each, axis=0)
+    added = shared @ shared.T - np.sum(each @ np.swapaxes(each, 1, 2), axis=0)
+    return replace(
+        fit,
+        covariance_rad2=symmetric(fit.covariance_rad2 + added),
+        formal_covariance_rad2=symmetric(fit.formal_covariance_rad2 + added),
+    )
+
+
+def _per_center(fit: AttitudeFit, excess_sigma_px: float) -> FloatArray:
+    """Return the attitude's change with each used star's center, (n, 3, 2) rad/px."""
+    rows, _ = fit.linear.rows(excess_sigma_px)
+    gain = np.linalg.solve(rows.T @ rows, rows.T)[:, : fit.linear.residual_px.size]
+    whiten = _whitening(fit.linear.covariance_px2, excess_sigma_px)
+    return np.asarray(gain.reshape(3, -1, 2).transpose(1, 0, 2) @ whiten)
 
 
 def _finish(

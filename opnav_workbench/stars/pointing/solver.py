@@ -27,11 +27,12 @@ from opnav_workbench.stars.pointing.attitude_fit import (
     AttitudePrior,
     PointingProblem,
     fit_attitude,
+    with_common_errors,
 )
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS, PointingModel, StepModel
 from opnav_workbench.stars.pointing.closed_form import ClosedForm, wahba
 from opnav_workbench.stars.pointing.motion_tails import MotionTails, effective_covariance
-from opnav_workbench.stars.pointing.residuals import StarSelection, chi2_probability, select_stars
+from opnav_workbench.stars.pointing.residuals import BELIEVED, StarSelection, chi2_probability, select_stars
 from opnav_workbench.stars.pointing.solution import PointingSolution, steps_between
 
 __all__ = ["PointingStart", "solve_pointing"]
@@ -214,6 +215,7 @@ def solve_pointing(
     a_priori_camera_from_j2000: ArrayLike,
     *,
     catalog_covariance_px2: ArrayLike | None = None,
+    common_px: FloatArray | None = None,
     model: PointingModel = "euler",
     usable: ArrayLike | None = None,
     trusted: ArrayLike | None = None,
@@ -239,6 +241,9 @@ def solve_pointing(
     a_priori_camera_from_j2000 : (3, 3) array_like
     catalog_covariance_px2 : (n, 2, 2) array_like, optional
         Covariances of the predicted places.
+    common_px : (n, 2, r) array, optional
+        What of `covariance_px2` the stars share, such as an error of the PSF that all were fitted with: what each of r
+        independent one-sigma errors makes of their centers. In the attitude's covariance they do not average out.
     model : {"euler", "image_plane"}
         Characterization of the attitude (see `opnav_workbench.stars.pointing.attitude_steps`); both find the same attitude,
         but for residuals times distortion.
@@ -299,6 +304,8 @@ def solve_pointing(
             "search fainter stars or a larger radius, or keep the a priori attitude"
         )
     selection, fit = _select_and_fit(given, model, _trusted(given, trusted), motion_tails)
+    if common_px is not None:
+        fit = _with_common(given, selection, fit, common_px)
     return _solution(given, selection, fit, model)
 
 
@@ -335,6 +342,21 @@ def _select_and_fit(
     raise PointingError(
         f"no attitude near the a priori one fits the {len(stars)} usable stars; check their identification"
     )
+
+
+def _with_common(
+    given: PointingInput, selection: StarSelection, fit: AttitudeFit, common_px: FloatArray
+) -> AttitudeFit:
+    """Return the fit with what the used stars share in its covariance."""
+    if common_px.shape[:2] != (len(given.reasons), 2):
+        raise PointingError(
+            f"common_px has shape {common_px.shape}, expected ({len(given.reasons)}, 2, r): one row per star"
+        )
+    believed = (
+        chi2_probability(fit.linear) >= BELIEVED
+    )  # the excess is then in the covariance alone, not in the weights
+    used = common_px[given.index][selection.used]
+    return with_common_errors(fit, used, 0.0 if believed else selection.excess_sigma_px)
 
 
 def _with_tails(

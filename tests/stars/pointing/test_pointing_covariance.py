@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from opnav_workbench.errors import PointingError
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.stars.pointing import solve_pointing
 
@@ -125,3 +126,25 @@ def test_scatter_reaches_the_cramer_rao_bound(cameras, star_field, name):
     bound = np.linalg.inv(np.sum(np.swapaxes(jacobian, 1, 2) @ np.linalg.inv(covariance) @ jacobian, axis=0))
     ratio = np.std(errors, axis=0) / np.sqrt(np.diag(bound))
     assert np.all((ratio > 0.9) & (ratio < 1.1)), ratio
+
+
+@pytest.mark.parametrize("share", [0.0, 0.04])
+def test_what_all_centers_share_does_not_average_out(cameras, star_field, sample, share):
+    """An error that moves all stars alike, part of each covariance; where it is not told 40 stars are 4 sigma off."""
+    camera, rng, n = cameras["lorri"], np.random.default_rng(8), 40
+    covariance = np.tile((0.05**2 + share**2) * np.eye(2), (n, 1, 1))
+    common = np.tile(share * np.eye(2), (n, 1, 1))
+    ratios = []
+    for _ in range(sample.trials(200)):
+        field = star_field(camera, rng, n, covariance_px2=np.tile(0.05**2 * np.eye(2), (n, 1, 1)))
+        observed, _, *rest = field.arguments
+        observed = observed + share * rng.normal(size=2)
+        solution = solve_pointing(observed, covariance, *rest, common_px=common)
+        ratios.append((error_of(field, solution) / np.sqrt(np.diag(solution.covariance_rad2)))[:2])
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=sample.within(0.15))
+
+
+def test_shared_errors_of_other_stars_are_refused(cameras, star_field):
+    field = star_field(cameras["lorri"], np.random.default_rng(9), 5)
+    with pytest.raises(PointingError, match="common_px has shape"):
+        solve_pointing(*field.arguments, common_px=np.zeros((4, 2, 1)))
