@@ -384,8 +384,8 @@ def test_pictures_tell_albedo_and_law_of_the_body_that_they_told(tmp_path):
     )
     told = map_scores(sequence, surface)
     assert told["seen"] > 0.5
-    # With gains that every picture tells of itself alone these were 0.88, 0.48 and 2.4. Seeds 8 to 10: 0.995 to 0.998 and less
-    # than 0.9 sigma; here the solution's axes are 1.5 % off, and with them the map.
+    # With gains that every picture tells of itself alone these were 0.88, 0.48 and 2.4. Seeds 8 to 10: 0.995 to 0.998 and
+    # less than 0.9 sigma; here the solution's axes are 1.5 % off, and with them the map.
     assert told["correlation"] > 0.95
     assert told["rms"] < 0.32 * told["contrast"]
     assert 0.2 < told["sigmas"] < 2.1
