@@ -11,11 +11,12 @@ With s = 0 many pictures of one surface would seem to average an error that they
 it. The measurements tell: each share and size is given weight by the likelihood of all residuals under it, and the estimate
 is the mean over them, its covariance that within them and between them. Few pictures tell little, and leave z near 1.
 
-Pictures of an approach show the same stars, and a star that is not where its catalog has it turns all their attitudes alike.
-That is most of what is unknown of an attitude where centers are good and motions or parallaxes are not. Taken for the pictures'
-own errors it seems to average in what they agree on (a B-plane's point), and to scatter in how they differ (an arrival).
+Pictures of an approach show the same stars, and a star that is not where its catalog has it turns all their attitudes
+alike. That is most of what is unknown of an attitude where centers are good and motions or parallaxes are not. Taken for the
+pictures' own errors it seems to average in what they agree on (a B-plane's point), and to scatter in how they differ (an
+arrival).
 
-    error of an attitude = own + sum over stars B e,   B (3, 2) of star and picture, e of the star in all pictures, unit sigma
+    error of an attitude = own + sum over stars B e,   B (3, 2) of star and picture, e of the star in all, unit sigma
 
 Reference: Hoeting et al. (1999), Statistical Science 14, 382, doi:10.1214/ss/1009212519 (model averaging).
 """
@@ -44,7 +45,9 @@ SHARES = np.arange(0.1, 1.0, 0.2)  # middles of equal parts: every share is as l
 DOUBLINGS = np.arange(-2.0, 2.5)
 SIZES, SIZE_COSTS = 2.0**DOUBLINGS, DOUBLINGS**2
 NO_TURNS: Mapping[str, Mapping[str, FloatArray]] = MappingProxyType({})
-LEAST_SHARED = 1e-3  # of the largest: what combinations of stars' errors move centers by less are the pictures' own
+LEAST_SHARED = (
+    1e-3  # of the largest: what combinations of stars' errors move centers by less are the pictures' own
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,9 +296,7 @@ def _between_pictures(kept: Sequence[Observable], turns: Sequence[FloatArray], r
     if kept:
         moved = np.concatenate([_partials(o) @ turn for o, turn in zip(kept, turns, strict=True)])
         images = np.repeat([o.image for o in kept], 2)
-        added[: len(moved), : len(moved)] = np.where(
-            images[:, None] == images[None], 0.0, moved @ moved.T
-        )
+        added[: len(moved), : len(moved)] = np.where(images[:, None] == images[None], 0.0, moved @ moved.T)
     return added
 
 
