@@ -170,8 +170,8 @@ class Star(Layout):
     reason: str = Field(description="Why, in words.")
     turn_by_catalog_rad: Turns32 | None = Field(
         default=None,
-        description="Turn of the attitude about the camera frame's axes by one sigma of the star's catalog errors, along two "
-        "axes that are the same in all pictures of the star; rad; null where it is not used.",
+        description="Turn of the attitude about the camera frame's axes by one sigma of the star's catalog errors, "
+        "along two axes that are the same in all pictures of the star; rad; null where it is not used.",
     )
     method: str | None = Field(description="Centerfinder.")
 
