@@ -155,13 +155,13 @@ def test_no_error_and_errors_of_other_kernels(et, camera):
 def test_true_stars_are_off_by_what_their_catalog_leaves_open(et):
     """Seen from Pluto; a star's error is its own, whoever stands beside it."""
     catalog, observer_km = open_catalog("bundled"), np.array([1.3e9, -4.5e9, -1.6e9])
-    stars = catalog.cone(4.72, -0.25, 0.03, mag_limit=11.0)
+    stars = catalog.cone(4.72, -0.25, 0.06, mag_limit=11.0)
     known, n = stars.motion_known, len(stars)
     assert 50 < known.sum() < n
     east, north = tangent_basis(stars.ra_rad, stars.dec_rad)
     believed, squares = stars.directions(et, observer_km), []
     weight = np.linalg.inv(stars.sky_covariance(et, observer_km))
-    for seed in range(60):
+    for seed in range(30):
         off = true_stars(stars, seed).directions(et, observer_km) - believed
         on_sky = np.stack([(off * axis).sum(axis=1) for axis in (east, north)], axis=-1)
         squares.append(np.einsum("ni,nij,nj->n", on_sky, weight, on_sky) / 2.0)
