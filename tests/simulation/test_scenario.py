@@ -149,13 +149,18 @@ def test_the_barycenter_case_differs_from_the_limb_case_by_its_perturbation_only
 
 
 @pytest.mark.parametrize(
-    ("said", "radii"), [("radius_km: 1200.0", [1200.0] * 3), ("radii_km: [1190.0, 1180.0, 1170.0]", [1190.0, 1180.0, 1170.0])]
-)  # fmt: skip
+    ("said", "radii"),
+    [
+        ("radius_km: 1200.0", [1200.0, 1200.0, 1200.0]),
+        ("radii_km: [1190.0, 1180.0, 1170.0]", [1190.0, 1180.0, 1170.0]),
+    ],
+)
 def test_a_body_of_another_size_than_the_kernels_have(file, said, radii):
     path = file("  law: lunar_lambert\n", f"  law: lunar_lambert\n  {said}\n")
     scenario = load_picture_scenario(path)
     surface = surface_of(scenario.body("PLUTO"), scenario, ("bodies", 0))
-    target = TargetState("PLUTO", np.array([0.0, 0.0, 1e6]), radii_km=np.full(3, 1188.3))
+    sun = np.array([0.0, 0.0, -5e9])
+    target = TargetState("PLUTO", np.array([0.0, 0.0, 1e6]), radii_km=np.full(3, 1188.3), sun_position_km=sun)
     mission = load_mission("new_horizons")
     made = surface.model(target, mission, mission.camera_named("lorri_1x1"), 0.1)
     assert made.target.radii_km.tolist() == radii
