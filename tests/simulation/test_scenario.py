@@ -160,7 +160,13 @@ def test_a_body_of_another_size_than_the_kernels_have(file, said, radii):
     scenario = load_picture_scenario(path)
     surface = surface_of(scenario.body("PLUTO"), scenario, ("bodies", 0))
     sun = np.array([0.0, 0.0, -5e9])
-    target = TargetState("PLUTO", np.array([0.0, 0.0, 1e6]), radii_km=np.full(3, 1188.3), sun_position_km=sun)
+    target = TargetState(
+        "PLUTO",
+        np.array([0.0, 0.0, 1e6]),
+        radii_km=np.full(3, 1188.3),
+        body_from_j2000=np.eye(3),
+        sun_position_km=sun,
+    )
     mission = load_mission("new_horizons")
     made = surface.model(target, mission, mission.camera_named("lorri_1x1"), 0.1)
     assert made.target.radii_km.tolist() == radii
