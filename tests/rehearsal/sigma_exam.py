@@ -7,7 +7,8 @@ About half a minute of processor time a seed. ``--mottled`` gives Pluto and Char
 nobody told the team of. ``--laws`` gives them laws that are off by what the fits hold a stated one to be good to: with the
 very law that the mission states, a truth stands in the middle of what is allowed for, and errors are smaller than sigmas.
 ``--figures`` does the same with sizes and axes: nobody tells the team how well they are known, so that each is off by one of
-the scales that the fits hold to be as likely. Stars are off their catalog in any case.
+the scales that the fits hold to be as likely, but for the largest: occultations tell a body of this size to 2 %. Stars are
+off their catalog in any case.
 """
 
 import argparse
@@ -48,8 +49,8 @@ def with_figures(scenario, seed: int):
     values, random = scenario.model_dump(mode="json", exclude_none=True), np.random.default_rng([42, seed])
     belief = FigureUncertainty()
     for body in values["bodies"]:
-        size = random.choice(belief.size_scales) * random.normal()
-        axes = random.choice(belief.axes_scales) * random.normal(size=3)
+        size = random.choice(belief.size_scales[1:]) * random.normal()
+        axes = random.choice(belief.axes_scales[1:]) * random.normal(size=3)
         body["radii_km"] = (RADII_KM[body["name"]] * np.exp(size + axes - axes.mean())).tolist()
     return type(scenario).model_validate(values)
 
