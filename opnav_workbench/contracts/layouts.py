@@ -95,6 +95,9 @@ Covariance6 = Annotated[
 Partials23 = Annotated[
     list[Annotated[list[Number], Field(min_length=3, max_length=3)]], Field(min_length=2, max_length=2)
 ]
+Turns32 = Annotated[
+    list[Annotated[list[Number], Field(min_length=2, max_length=2)]], Field(min_length=3, max_length=3)
+]
 Quaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 Rotation = Annotated[list[Triple], Field(min_length=3, max_length=3)]
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -165,6 +168,11 @@ class Star(Layout):
     snr: Number = Field(description="Fitted flux over its sigma.")
     status: StarStatus = Field(description="used, or why not.")
     reason: str = Field(description="Why, in words.")
+    turn_by_catalog_rad: Turns32 | None = Field(
+        default=None,
+        description="Turn of the attitude about the camera frame's axes by one sigma of the star's catalog errors, "
+        "along two axes that are the same in all pictures of the star; rad; null where it is not used.",
+    )
     method: str | None = Field(description="Centerfinder.")
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Errors of centers that all pictures have in common, beside those that each has for itself; and how large both are.
+"""Errors that pictures have in common, beside those that each has for itself: of centers, and of the stars behind them.
 
 What a centerfinder cannot know of a surface (its scattering law, its size, how its light falls off toward the terminator) is
 much the same in every picture of an approach, and of its neighbors too; what it cannot know of a mottled one turns with the
@@ -11,11 +11,19 @@ With s = 0 many pictures of one surface would seem to average an error that they
 it. The measurements tell: each share and size is given weight by the likelihood of all residuals under it, and the estimate
 is the mean over them, its covariance that within them and between them. Few pictures tell little, and leave z near 1.
 
+Pictures of an approach show the same stars, and a star that is not where its catalog has it turns all their attitudes
+alike. That is most of what is unknown of an attitude where centers are good and motions or parallaxes are not. Taken for the
+pictures' own errors it seems to average in what they agree on (a B-plane's point), and to scatter in how they differ (an
+arrival).
+
+    error of an attitude = own + sum over stars B e,   B (3, 2) of star and picture, e of the star in all, unit sigma
+
 Reference: Hoeting et al. (1999), Statistical Science 14, 382, doi:10.1214/ss/1009212519 (model averaging).
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,6 +44,10 @@ SHARES = np.arange(0.1, 1.0, 0.2)  # middles of equal parts: every share is as l
 # what nobody has seen are believed to a factor of two.
 DOUBLINGS = np.arange(-2.0, 2.5)
 SIZES, SIZE_COSTS = 2.0**DOUBLINGS, DOUBLINGS**2
+NO_TURNS: Mapping[str, Mapping[str, FloatArray]] = MappingProxyType({})
+LEAST_SHARED = (
+    1e-3  # of the largest: what combinations of stars' errors move centers by less are the pictures' own
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +111,7 @@ def estimate_with_common_errors(
     statuses: Sequence[str] = ("ok",),
     reject_sigmas: float = REJECT_SIGMAS,
     filter_options: Mapping[str, Any] | None = None,
+    star_turns_rad: Mapping[str, Mapping[str, FloatArray]] = NO_TURNS,
 ) -> CommonErrorEstimate:
     """Estimate corrections of states from centers whose errors beyond noise may be common.
 
@@ -113,6 +126,9 @@ def estimate_with_common_errors(
     filter_options
         Further options of `filter_estimate` (``accelerations``, ``consider`` and so on): the filter takes the batch's place.
         None: the batch.
+    star_turns_rad : mapping of image to mapping of star to (3, 2) array
+        How far a sigma of each star's catalog errors turns the attitude of each image (``turn_by_catalog_rad`` of
+        ``result.json``); a part of its attitude covariance. Nothing told: no attitudes are taken to err alike.
 
     Raises
     ------
@@ -138,12 +154,12 @@ def estimate_with_common_errors(
         kept, roots = _kept(observables, noise_covariances_px2, filtered.residuals)
         independent = estimate(kept, parameters, epoch_et=filtered.epoch_et, reject_sigmas=np.inf, **asked)
     dynamics = Dynamics(independent.epoch_et, target_transition, spacecraft_transition)
+    turns = _shared_turns(kept, star_turns_rad)
     if filter_options is None:
-        mixed = _batches(kept, roots, independent, dynamics)
+        mixed = _batches(kept, roots, turns, independent, dynamics)
     else:
-        mixed = _filters(
-            kept, roots, parameters, {"epoch_et": independent.epoch_et, **asked, **filter_options}
-        )
+        options = {"epoch_et": independent.epoch_et, **asked, **filter_options}
+        mixed = _filters(kept, roots, turns, parameters, options)
     correction, covariance = mixed.moments()
     return CommonErrorEstimate(
         independent=independent,
@@ -189,6 +205,29 @@ def _model_root(o: Observable, noise_px2: FloatArray | None) -> FloatArray:
     return np.asarray(turned @ (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
+def _shared_turns(
+    kept: Sequence[Observable], told: Mapping[str, Mapping[str, FloatArray]]
+) -> list[FloatArray]:
+    """Return how unit errors that attitudes have in common turn that of each observable, (3, k) rad.
+
+    The k are the combinations of stars' errors that move a center: fewer than stars, and none without stars told.
+    """
+    stars = sorted({star for o in kept for star in told.get(o.image, {})})
+    whole = np.zeros((len(kept), 3, 2 * len(stars)))
+    for i, o in enumerate(kept):
+        for star, turn in told.get(o.image, {}).items():
+            at = 2 * stars.index(star)
+            whole[i, :, at : at + 2] = turn
+    moved = np.concatenate([_partials(o) @ turn for o, turn in zip(kept, whole, strict=True)])
+    _, size, combined = np.linalg.svd(moved, full_matrices=False)
+    telling = combined[size > LEAST_SHARED * size.max(initial=0.0)]
+    return [turn @ telling.T for turn in whole]
+
+
+def _partials(o: Observable) -> FloatArray:
+    return np.zeros((2, 3)) if o.partials_px_per_rad is None else o.partials_px_per_rad
+
+
 # ---- The same estimate under every share and size of errors beyond noise.
 
 SHARE_OF_EACH, SIZE_OF_EACH = (grid.ravel() for grid in np.meshgrid(SHARES, SIZES, indexing="ij"))
@@ -220,10 +259,15 @@ class _Mixture:
 
 
 def _batches(
-    kept: Sequence[Observable], roots: Sequence[FloatArray], independent: Estimate, dynamics: Dynamics
+    kept: Sequence[Observable],
+    roots: Sequence[FloatArray],
+    turns: Sequence[FloatArray],
+    independent: Estimate,
+    dynamics: Dynamics,
 ) -> _Mixture:
     """Solve by generalized least squares, linearized about the batch's solution."""
     measured = measurements_of(kept, independent.groups, dynamics)
+    stated = measured.covariance + _between_pictures(kept, turns, len(measured.covariance))
     residual, jacobian = measured.evaluate(independent.correction)
     loads = np.zeros((len(residual), 2))
     loads[: 2 * len(roots)] = np.concatenate(roots)
@@ -234,13 +278,26 @@ def _batches(
     members = []
     for share, size in zip(SHARE_OF_EACH, SIZE_OF_EACH, strict=True):
         errors = size**2 * ((1.0 - share) * own + share * common)
-        factor = np.linalg.cholesky(measured.covariance - own + errors)
+        factor = np.linalg.cholesky(stated - own + errors)
         white = np.linalg.solve(factor, np.column_stack([jacobian, residual]))
         rows = np.concatenate([white[:, :-1], prior])
         right = np.concatenate([white[:, -1], -prior @ independent.correction])
         members.append(_least_squares(rows, right, 2.0 * float(np.log(np.diag(factor)).sum())))
     steps, covariances, costs = zip(*members, strict=True)
     return _Mixture(independent.correction + np.array(steps), np.array(covariances), np.array(costs))
+
+
+def _between_pictures(kept: Sequence[Observable], turns: Sequence[FloatArray], rows: int) -> FloatArray:
+    """Return the covariance (rows, rows) that stars in common give centers of different pictures, px^2.
+
+    Within a picture it is in the attitude's covariance already.
+    """
+    added = np.zeros((rows, rows))
+    if kept:
+        moved = np.concatenate([_partials(o) @ turn for o, turn in zip(kept, turns, strict=True)])
+        images = np.repeat([o.image for o in kept], 2)
+        added[: len(moved), : len(moved)] = np.where(images[:, None] == images[None], 0.0, moved @ moved.T)
+    return added
 
 
 def _least_squares(
@@ -262,15 +319,17 @@ def _least_squares(
 def _filters(
     kept: Sequence[Observable],
     roots: Sequence[FloatArray],
+    turns: Sequence[FloatArray],
     parameters: Sequence[str],
     asked: Mapping[str, Any],
 ) -> _Mixture:
-    """Solve in the filter, the common error as a constant that each picture's centers depend on."""
+    """Solve in the filter, the common errors as constants that each picture's centers depend on."""
     options = dict(asked)
-    model = tuple(options.pop("model", ()))
+    model = (*options.pop("model", ()), *_turned_together(kept, turns))
+    apart = [_with_own_attitude(o, turn) for o, turn in zip(kept, turns, strict=True)]
     members = []
     for share, size in zip(SHARE_OF_EACH, SIZE_OF_EACH, strict=True):
-        sized = [_with_own_errors(o, root, share, size) for o, root in zip(kept, roots, strict=True)]
+        sized = [_with_own_errors(o, root, share, size) for o, root in zip(apart, roots, strict=True)]
         common = _common_errors(sized, roots, float(np.sqrt(share) * size))
         members.append(
             filter_estimate(sized, parameters, model=(*model, *common), reject_sigmas=np.inf, **options)
@@ -301,6 +360,29 @@ def _with_own_errors(o: Observable, root: FloatArray, share: float, size: float)
         covariance_px2=symmetric(o.covariance_px2 - less),
         total_covariance_px2=symmetric(o.total_covariance_px2 - less),
     )
+
+
+def _with_own_attitude(o: Observable, turn: FloatArray) -> Observable:
+    """Return an observable whose attitude errs in nothing that other pictures have in common with it."""
+    moved = _partials(o) @ turn
+    covariance = o.attitude_covariance_rad2
+    return replace(
+        o,
+        total_covariance_px2=symmetric(o.total_covariance_px2 - moved @ moved.T),
+        attitude_covariance_rad2=None if covariance is None else symmetric(covariance - turn @ turn.T),
+    )
+
+
+def _turned_together(
+    observables: Sequence[Observable], turns: Sequence[FloatArray]
+) -> tuple[ModelParameter, ...]:
+    moved = {(o.image, o.name): _partials(o) @ turn for o, turn in zip(observables, turns, strict=True)}
+
+    def along(axis: int) -> Callable[[Observable], FloatArray]:
+        return lambda o: moved[o.image, o.name][:, axis]
+
+    count = turns[0].shape[1] if turns else 0
+    return tuple(ModelParameter(f"stars {k + 1}", 1.0, "sigma", pixels=along(k)) for k in range(count))
 
 
 def _common_errors(

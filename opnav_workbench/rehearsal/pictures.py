@@ -152,6 +152,7 @@ def picture_scenario(scenario: OrtScenario, case: OrtCase) -> PictureScenario:
         seed=int(perturbation_random(case.seed, "pictures").integers(2**62)),
         bodies=tuple(_true_appearance(body, scenario, case) for body in _drawn_bodies(scenario)),
         detector=scenario.detector,
+        star_errors=scenario.perturbations.stars,
         pictures=tuple(_picture_entry(picture, scenario) for picture in scenario.sequence()),
     )
     return content.at_path(scenario.path)  # maps and shapes count from the same file

@@ -19,6 +19,7 @@ __all__ = [
     "chosen_observables",
     "noise_covariances_px2",
     "picture_results",
+    "star_turns_rad",
 ]
 
 RESULT_FILE, TABLE_FILE = "result.json", "observables.ecsv"
@@ -143,6 +144,21 @@ def noise_covariances_px2(
     }
     found = [told.get((o.image, o.name, o.method)) for o in observables]
     return tuple(None if noise is None else np.array(noise, dtype=np.float64) for noise in found)
+
+
+def star_turns_rad(pictures: Sequence[PictureResult]) -> dict[str, dict[str, FloatArray]]:
+    """Return how far a sigma of each star's catalog errors turns the attitude of each image, (3, 2) rad by image and star.
+
+    Results of programs that do not tell it have none.
+    """
+    return {
+        str(picture.result.get("image")): {
+            str(star["id"]): np.array(turn, dtype=np.float64)
+            for star in picture.result.get("stars") or ()
+            if (turn := star.get("turn_by_catalog_rad")) is not None
+        }
+        for picture in pictures
+    }
 
 
 def _weighted(observable: Observable, disk_sigma_px: float) -> Observable:

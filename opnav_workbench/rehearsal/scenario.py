@@ -196,6 +196,7 @@ class OrtPerturbations(StrictModel):
     lost_images: LostImages | None = None
     data_gaps: DataGaps | None = None
     cosmic_ray_storm: CosmicRayStorm | None = None
+    stars: bool = True  # off by what their catalog leaves open, as in flight; the same way in every picture
 
     def moved(self) -> tuple[str, ...]:
         """Return the estimator's parameters that they change."""

@@ -43,6 +43,7 @@ from opnav_workbench.rehearsal.results import (
     chosen_observables,
     noise_covariances_px2,
     picture_results,
+    star_turns_rad,
 )
 from opnav_workbench.version import __version__
 
@@ -439,9 +440,9 @@ def solve_rehearsal(
     pictures = picture_results((p.name for p in package.pictures), results)
     observables, left_out = chosen_observables(pictures, disk_sigma_px)
     flyby = predicted_flyby(package)
-    noise = noise_covariances_px2(pictures, observables)
+    noise, turns = noise_covariances_px2(pictures, observables), star_turns_rad(pictures)
     options = None if filtered is None else filtered.keywords(package, flyby.state, flyby.encounter_et)
-    common = _solved(package, flyby, observables, noise, options)
+    common = _solved(package, flyby, observables, noise, turns, options)
     found = common.independent
     fit = found if common.filtered is None else common.filtered
     after, after_covariance = common.relative_state(flyby.body)
@@ -471,7 +472,7 @@ def solve_rehearsal(
         disk_sigma_px=disk_sigma_px,
         common_share=common.share,
         error_size=common.size,
-        history=_history(package, flyby, observables, noise, common) if history else (),
+        history=_history(package, flyby, observables, noise, turns, common) if history else (),
         filter={} if filtered is None or common.filtered is None else filter_rows(common.filtered, filtered),
     )
 
@@ -481,6 +482,7 @@ def _solved(
     flyby: PredictedFlyby,
     observables: Sequence[Observable],
     noise: Sequence[FloatArray | None],
+    turns: Mapping[str, Mapping[str, FloatArray]],
     options: Mapping[str, Any] | None,
 ) -> CommonErrorEstimate:
     return estimate_with_common_errors(
@@ -492,6 +494,7 @@ def _solved(
         target_transition=straight_line,
         spacecraft_transition=straight_line,
         filter_options=options,
+        star_turns_rad=turns,
     )
 
 
@@ -500,6 +503,7 @@ def _history(
     flyby: PredictedFlyby,
     observables: Sequence[Observable],
     noise: Sequence[FloatArray | None],
+    turns: Mapping[str, Mapping[str, FloatArray]],
     common: CommonErrorEstimate,
 ) -> tuple[dict[str, Any], ...]:
     """Return the flyby as known after each picture: as the filter passes it, or solved anew by the batch."""
@@ -511,7 +515,7 @@ def _history(
             counted = [(o.et, o.image) <= (et, image) for o in observables]
             with suppress(EstimationError):  # they contradict each other, or do not determine it yet
                 so_far = list(compress(observables, counted)), list(compress(noise, counted))
-                found = _solved(package, flyby, *so_far, None)
+                found = _solved(package, flyby, *so_far, turns, None)
                 known.append((image, et, found.correction, found.covariance))
     rows = []
     for image, et, correction, covariance in known:

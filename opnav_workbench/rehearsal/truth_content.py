@@ -41,7 +41,7 @@ def perturbation_words(
         *_light_words(case),
         *_picture_words(case, truths),
     ]
-    return lines or ["Nothing was perturbed but the attitude, by its usual errors."]
+    return lines or ["Nothing was perturbed but attitude and stars, by their usual errors."]
 
 
 def _state_words(case: OrtCase, geometry: OrtGeometry) -> Iterator[str]:

@@ -262,6 +262,7 @@ def _star_results(context: Context, state: SessionState) -> list[dict[str, Any]]
     predicted = stars.pixel_line
     if state.pointing is not None:
         predicted = stars.places(context.camera, state.pointing.camera_from_j2000)
+    turns = None if state.pointing is None else state.pointing.catalog_turns_rad
     rows, measured = [], has_center(state)
     for i in range(len(stars)):
         seen = measured[i] and state.status[i].status in MEASURED_STATUSES
@@ -278,6 +279,7 @@ def _star_results(context: Context, state: SessionState) -> list[dict[str, Any]]
                 "snr": None if centers is None else centers.snr[i],
                 "status": state.status[i].status,
                 "reason": state.status[i].reason,
+                "turn_by_catalog_rad": None if turns is None or not turns[i : i + 1].any() else turns[i],
                 "method": None
                 if centers is None
                 else state.star_methods.get(str(stars.id[i]), centers.method),

@@ -39,6 +39,7 @@ from opnav_workbench.simulation.true_state import (
     predicted_attitude,
     true_attitude,
     true_observer,
+    true_stars,
     true_target,
 )
 from opnav_workbench.targets import TargetState
@@ -248,7 +249,8 @@ class OpenedScenario:
     def _stars(self, camera: Camera, attitude: FloatArray, et: float) -> StarTable:
         ra, dec = (float(a) for a in radec_from_unit(attitude.T @ camera.boresight))
         radius = CONE_SHARE * camera.half_diagonal_rad
-        return self.catalog.cone(ra, dec, radius, mag_limit=self.scenario.magnitude_limit, et_s=et)
+        stars = self.catalog.cone(ra, dec, radius, mag_limit=self.scenario.magnitude_limit, et_s=et)
+        return true_stars(stars, self.scenario.seed) if self.scenario.star_errors else stars
 
     def _psf(self, camera: Camera) -> Psf:
         widths = self.scenario.psf_sigma_px

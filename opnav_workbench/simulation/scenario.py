@@ -228,6 +228,7 @@ class PictureScenario(PicturesFile):
     attitude: AttitudePlan = AttitudePlan()
     perturbations: Perturbations = Perturbations()
     switches: ApparentPlaceEffects = ApparentPlaceEffects()
+    star_errors: bool = False  # stars are off by what their catalog leaves open, as the seed draws it
     pictures: tuple[PictureEntry, ...]
 
     @field_validator("pictures")

@@ -209,11 +209,13 @@ class BodyAppearance(StrictModel):
     shape: ShapeFile | None = None  # None: the ellipsoid of the kernels
     terrain: RoughShape | None = None  # a made shape instead
     radius_km: PositiveFloat | None = None  # a sphere instead, as for a body whose spin is unknown
+    radii_km: tuple[PositiveFloat, PositiveFloat, PositiveFloat] | None = None  # another ellipsoid instead
 
     @model_validator(mode="after")
     def _one_form(self) -> Self:
-        if sum(form is not None for form in (self.shape, self.terrain, self.radius_km)) > 1:
-            raise ValueError("give shape, terrain or radius_km, one of them")
+        forms = (self.shape, self.terrain, self.radius_km, self.radii_km)
+        if sum(form is not None for form in forms) > 1:
+            raise ValueError("give shape, terrain, radius_km or radii_km, one of them")
         return self
 
 

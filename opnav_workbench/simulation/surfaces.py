@@ -123,15 +123,15 @@ class Surface:
         None: the mission's photometry where it knows the body, else the albedo.
     shape
         None: the ellipsoid of the kernels.
-    radius_km
-        Of a sphere in place of that ellipsoid.
+    radii_km : (3,) array, optional
+        In place of that ellipsoid's.
     """
 
     law: ScatteringLaw
     albedo: float | AlbedoMap
     brightness: Brightness | None
     shape: ShapeModel | None
-    radius_km: float | None = None
+    radii_km: FloatArray | None = None
 
     def model(self, target: TargetState, mission: Mission, camera: Camera, exposure_s: float) -> BodyModel:
         """Return the body of one picture; its target then has the V magnitude, where that is known.
@@ -143,8 +143,8 @@ class Surface:
         CameraError
             The camera has no zero point.
         """
-        if self.radius_km is not None:
-            target = replace(target, radii_km=np.full(3, self.radius_km))
+        if self.radii_km is not None:
+            target = replace(target, radii_km=self.radii_km)
         magnitude, b_v = self._magnitude(target, mission)
         if magnitude is None:
             return BodyModel(target, self.law, self.albedo, shape=self.shape)
@@ -185,7 +185,10 @@ def surface_of(options: BodyAppearance, scenario: ScenarioFile, place: Location)
             shape = _made_shape(options.terrain)
     with scenario.naming((*place, "law")):
         law = law_from_mapping(options.law.model_dump())
-    return Surface(law, albedo, options.brightness, shape, options.radius_km)
+    radii = options.radii_km if options.radius_km is None else (options.radius_km,) * 3
+    return Surface(
+        law, albedo, options.brightness, shape, None if radii is None else np.array(radii, dtype=np.float64)
+    )
 
 
 def _albedo(albedo: Albedo, folder: Path) -> float | AlbedoMap:

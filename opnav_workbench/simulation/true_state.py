@@ -1,4 +1,4 @@
-"""Predicted and true state: what header and kernels say, and how camera, spacecraft and bodies really are.
+"""Predicted and true state: what header, kernels and catalog say, and how camera, spacecraft, bodies, stars really are.
 
 The kernels that the navigator has are wrong by a known amount. An offset of a barycenter moves everything that
 belongs to it. Light then takes longer or shorter, and the body is seen where it was at that other time.
@@ -10,9 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import ndtr
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
+from opnav_workbench.catalog import StarTable, unknown_motion_mixture
 from opnav_workbench.constants import (
     LAST_BARYCENTER_ID,
     SOLAR_SYSTEM_BARYCENTER_ID,
@@ -30,12 +32,19 @@ from opnav_workbench.geometry import (
 from opnav_workbench.geometry.aiming import aim
 from opnav_workbench.kernels import KernelSet, body_id, camera_attitude, state
 from opnav_workbench.scene import Observer, body_target, observer_from_kernels
-from opnav_workbench.simulation.randomness import picture_random
+from opnav_workbench.simulation.randomness import picture_random, seed_of_name
 from opnav_workbench.simulation.scenario import ActualAttitude, BodyOffset, Perturbations, PredictedAttitude
 from opnav_workbench.simulation.scenario_file import path_beside
 from opnav_workbench.targets import TargetState
 
-__all__ = ["flown_kernels", "predicted_attitude", "true_attitude", "true_observer", "true_target"]
+__all__ = [
+    "flown_kernels",
+    "predicted_attitude",
+    "true_attitude",
+    "true_observer",
+    "true_stars",
+    "true_target",
+]
 
 
 # ---- Predicted and true attitude of a picture: what the header says, and how the camera really stood.
@@ -174,3 +183,36 @@ def _vector_km(offset: BodyOffset, et: float) -> FloatArray:
     if offset.toward_sun_km:
         along_sun = offset.toward_sun_km * unit(state(SUN_ID, et, offset.name).position_km)
     return np.asarray(np.array(offset.offset_km) + along_sun)
+
+
+def true_stars(stars: StarTable, seed: int) -> StarTable:
+    """Return stars as they may truly be: off by what their catalog leaves open, the same way in every picture.
+
+    Parameters
+    ----------
+    stars
+        As the catalog has them; sigmas are kept.
+    seed
+        Not negative. Each star's errors follow from it and its designation: Gaussian by its covariance, an unknown motion by
+        `unknown_motion_mixture`.
+    """
+    if not len(stars):
+        return stars
+    draws = np.array(
+        [np.random.default_rng([seed, seed_of_name(name)]).standard_normal(6) for name in stars.id.tolist()]
+    )
+    values, vectors = np.linalg.eigh(stars.covariance)
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]) @ np.swapaxes(vectors, 1, 2)
+    off = (root @ draws[:, :5, None])[..., 0]
+    shares, sigmas = unknown_motion_mixture(stars.ra_rad, stars.dec_rad, stars.mag)
+    part = (np.cumsum(shares, axis=1) < ndtr(draws[:, 5:])).sum(axis=1).clip(max=shares.shape[1] - 1)
+    unknown = np.take_along_axis(sigmas, part[:, None], axis=1) * draws[:, 3:5]
+    motion = np.where(stars.motion_known[:, None], off[:, 3:], unknown)
+    return replace(
+        stars.take(slice(None)),  # a table whose columns are built on demand becomes one
+        ra_rad=stars.ra_rad + off[:, 0] / np.cos(stars.dec_rad),
+        dec_rad=stars.dec_rad + off[:, 1],
+        parallax_rad=stars.parallax_rad + off[:, 2],
+        pmra_rad_yr=stars.pmra_rad_yr + motion[:, 0],
+        pmdec_rad_yr=stars.pmdec_rad_yr + motion[:, 1],
+    )

@@ -134,6 +134,73 @@ def test_pushed_spacecraft_is_known_less(pictures, displaced):
     assert len(pushed.filtered.labels) == 9
 
 
+def starred(approach, observables, rng):
+    """Six stars that all pictures show: how they turn each attitude, which errs in little else."""
+    scale = np.array([1.0, 1.0, 30.0]) * approach.camera.pixel_scale_rad
+    attitudes = {o.image: approach.attitude(o.et, number) for number, o in enumerate(observables[::2])}
+    first = next(iter(attitudes.values()))
+    axes = 0.05 * rng.normal(size=(6, 3, 2)) * scale[:, None]
+    turns = {
+        image: {f"star {k}": attitude @ first.T @ axis for k, axis in enumerate(axes)}
+        for image, attitude in attitudes.items()
+    }
+    found = []
+    for o in observables:
+        covariance = sum(b @ b.T for b in turns[o.image].values()) + np.diag((0.01 * scale) ** 2)
+        share = o.partials_px_per_rad @ covariance @ o.partials_px_per_rad.T
+        total = o.covariance_px2 + share
+        found.append(replace(o, total_covariance_px2=total, attitude_covariance_rad2=covariance))
+    return found, turns
+
+
+def with_turned_attitudes(observables, turns, displaced, rng):
+    errors = {name: rng.normal(size=2) for name in turns[observables[0].image]}
+    own = {image: rng.normal(size=3) * [1.0, 1.0, 30.0] * 4.96e-8 for image in turns}
+    drawn = []
+    for o in observables:
+        turn = own[o.image] + sum(turns[o.image][name] @ e for name, e in errors.items())
+        noise = np.linalg.cholesky(o.covariance_px2) @ rng.normal(size=2)
+        drawn.append(displaced(o, noise + o.partials_px_per_rad @ turn))
+    return drawn
+
+
+def test_filter_knows_stars_in_common_as_the_batch_does(approach, pictures, displaced):
+    rng = np.random.default_rng(8)
+    believed, turns = starred(approach(), pictures, rng)
+    drawn = with_turned_attitudes(believed, turns, displaced, rng)
+    asked = {
+        "parameters": ["target_position"],
+        "a_priori": {"target_position": 5000.0},
+        "star_turns_rad": turns,
+    }
+    batch = estimate_with_common_errors(drawn, [NOISE] * len(drawn), **asked)
+    _same(estimate_with_common_errors(drawn, [NOISE] * len(drawn), filter_options={}, **asked), batch)
+
+
+@pytest.mark.slow
+def test_attitudes_of_the_same_stars_err_alike(approach, pictures, displaced):
+    """100 approaches: with the stars told, errors are those of the sigmas; each picture for itself promises too much."""
+    rng = np.random.default_rng(9)
+    clean = [replace(o, covariance_px2=NOISE, total_covariance_px2=NOISE) for o in pictures]
+    believed, turns = starred(approach(), clean, rng)
+    sizes, careless = [], []
+    for _ in range(100):
+        drawn = with_turned_attitudes(believed, turns, displaced, rng)
+        for told, into in ((turns, sizes), ({}, careless)):
+            found = estimate_with_common_errors(
+                drawn,
+                [NOISE] * len(drawn),
+                ["target_position"],
+                a_priori={"target_position": 5000.0},
+                reject_sigmas=np.inf,
+                star_turns_rad=told,
+            )
+            error = found.correction
+            into.append(error @ np.linalg.solve(found.covariance, error) / 3.0)
+    assert 0.85 < np.sqrt(np.mean(sizes)) < 1.15
+    assert np.sqrt(np.mean(careless)) > 1.3
+
+
 @pytest.mark.slow
 def test_errors_over_sigmas_whatever_is_common_and_however_large(pictures, displaced):
     """100 approaches, shares and sizes as they are believed in; taking none as common and all as stated is too sure."""

@@ -6,6 +6,9 @@ What is there already is kept (pictures, their results) and only estimated again
 About half a minute of processor time a seed. ``--mottled`` gives Pluto and Charon surfaces of reflectance 0.25 to 0.75 that
 nobody told the team of. ``--laws`` gives them laws that are off by what the fits hold a stated one to be good to: with the
 very law that the mission states, a truth stands in the middle of what is allowed for, and errors are smaller than sigmas.
+``--figures`` does the same with sizes and axes: nobody tells the team how well they are known, so that each is off by one of
+the scales that the fits hold to be as likely, but for the largest: occultations tell a body of this size to 2 %. Stars are
+off their catalog in any case.
 """
 
 import argparse
@@ -19,6 +22,7 @@ from opnav_workbench.rehearsal import open_rehearsal, reveal, solve_rehearsal
 from opnav_workbench.rehearsal.making import new_rehearsal
 from opnav_workbench.rehearsal.scenario import load_ort_scenario
 from opnav_workbench.rehearsal.solution import predicted_flyby
+from opnav_workbench.render.body import FigureUncertainty
 
 MOTTLED = {"bodies": ["PLUTO", "CHARON"], "dark": 0.25, "bright": 0.75}
 
@@ -34,6 +38,20 @@ def with_laws(scenario, seed: int):
     for body in values["bodies"]:
         share = float(np.clip(body["law"]["lunar_weight"] + LAW_SIGMA * random.normal(), 0.0, 1.0))
         body["law"] = {"law": "lunar_lambert", "lunar_weight": share}
+    return type(scenario).model_validate(values)
+
+
+RADII_KM = {"PLUTO": 1188.3, "CHARON": 606.0}  # as the kernels have them
+
+
+def with_figures(scenario, seed: int):
+    """The scenario of a seed whose bodies are no spheres of the radii in the kernels."""
+    values, random = scenario.model_dump(mode="json", exclude_none=True), np.random.default_rng([42, seed])
+    belief = FigureUncertainty()
+    for body in values["bodies"]:
+        size = random.choice(belief.size_scales[1:]) * random.normal()
+        axes = random.choice(belief.axes_scales[1:]) * random.normal(size=3)
+        body["radii_km"] = (RADII_KM[body["name"]] * np.exp(size + axes - axes.mean())).tolist()
     return type(scenario).model_validate(values)
 
 
@@ -65,6 +83,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--mottled", action="store_true")
     parser.add_argument("--laws", action="store_true")
+    parser.add_argument("--figures", action="store_true")
+    parser.add_argument("--first", type=int, default=1, help="seed")
     asked = parser.parse_args()
     scenario = load_ort_scenario(asked.scenario)
     if asked.mottled:
@@ -72,8 +92,10 @@ def main() -> int:
         values["perturbations"]["albedo"] = MOTTLED
         scenario = type(scenario).model_validate(values)
     rows = []
-    for seed in range(1, asked.seeds + 1):
-        error, sigma, size = errors_of(with_laws(scenario, seed) if asked.laws else scenario, seed, asked.out)
+    for seed in range(asked.first, asked.first + asked.seeds):
+        drawn = with_laws(scenario, seed) if asked.laws else scenario
+        drawn = with_figures(drawn, seed) if asked.figures else drawn
+        error, sigma, size = errors_of(drawn, seed, asked.out)
         rows.append((error / sigma, size, sigma))
         shown = "  ".join(f"{e:+9.2f} ({e / s:+.2f})" for e, s in zip(error, sigma, strict=True))
         sys.stdout.write(f"seed {seed:3d}  B.T, B.R km, arrival s, worst km: {shown}\n")

@@ -243,6 +243,6 @@ def test_truth_of_pictures_survives_the_seal(rehearse):
     assert picture.n_stars >= 3
     assert str(stars["pixel"].unit) == "pix"
     assert np.isfinite(stars["mag"].value).all()
-    assert truth.words == ("Nothing was perturbed but the attitude, by its usual errors.",)
+    assert truth.words == ("Nothing was perturbed but attitude and stars, by their usual errors.",)
     with pytest.raises(ValueError, match="read-only"):
         truth.parameters["target_position"][0] = 1.0

@@ -2,12 +2,16 @@
 
 import pickle
 
+import numpy as np
 import pytest
 import yaml
 
 from opnav_workbench.errors import MissionError
+from opnav_workbench.mission import load_mission
 from opnav_workbench.resources import kernels_meta_dir
 from opnav_workbench.simulation.scenario import load_picture_scenario, picture_scenario_names
+from opnav_workbench.simulation.surfaces import surface_of
+from opnav_workbench.targets import TargetState
 
 BASE = """\
 # line 1
@@ -142,3 +146,34 @@ def test_the_barycenter_case_differs_from_the_limb_case_by_its_perturbation_only
     )
     different = {key for key in limb if limb[key] != moved[key]}
     assert different == {"description", "perturbations"}
+
+
+@pytest.mark.parametrize(
+    ("said", "radii"),
+    [
+        ("radius_km: 1200.0", [1200.0, 1200.0, 1200.0]),
+        ("radii_km: [1190.0, 1180.0, 1170.0]", [1190.0, 1180.0, 1170.0]),
+    ],
+)
+def test_a_body_of_another_size_than_the_kernels_have(file, said, radii):
+    path = file("  law: lunar_lambert\n", f"  law: lunar_lambert\n  {said}\n")
+    scenario = load_picture_scenario(path)
+    surface = surface_of(scenario.body("PLUTO"), scenario, ("bodies", 0))
+    sun = np.array([0.0, 0.0, -5e9])
+    target = TargetState(
+        "PLUTO",
+        np.array([0.0, 0.0, 1e6]),
+        radii_km=np.full(3, 1188.3),
+        body_from_j2000=np.eye(3),
+        sun_position_km=sun,
+    )
+    mission = load_mission("new_horizons")
+    made = surface.model(target, mission, mission.camera_named("lorri_1x1"), 0.1)
+    assert made.target.radii_km.tolist() == radii
+
+
+def test_a_body_has_one_form(file):
+    with pytest.raises(MissionError, match="one of them"):
+        load_picture_scenario(
+            file("  law: lunar_lambert\n", "  radius_km: 1.0\n  radii_km: [1.0, 1.0, 1.0]\n")
+        )

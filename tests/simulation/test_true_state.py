@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import spiceypy
 
+from opnav_workbench.catalog import open_catalog
 from opnav_workbench.errors import KernelError
-from opnav_workbench.geometry import angle_between, pointing_angles
+from opnav_workbench.geometry import angle_between, pointing_angles, tangent_basis
 from opnav_workbench.kernels import KernelSet, et_from_utc
 from opnav_workbench.mission import load_mission
 from opnav_workbench.scene import body_target, observer_from_kernels
@@ -17,6 +18,7 @@ from opnav_workbench.simulation.true_state import (
     predicted_attitude,
     true_attitude,
     true_observer,
+    true_stars,
     true_target,
 )
 from opnav_workbench.stars.pointing import attitude_shift
@@ -148,3 +150,23 @@ def test_no_error_and_errors_of_other_kernels(et, camera):
         true_attitude(plan, turned, camera, et, 1, Path()).T @ camera.boresight,
         predicted.T @ camera.boresight,
     ) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_true_stars_are_off_by_what_their_catalog_leaves_open(et):
+    """Seen from Pluto; a star's error is its own, whoever stands beside it."""
+    catalog, observer_km = open_catalog("bundled"), np.array([1.3e9, -4.5e9, -1.6e9])
+    stars = catalog.cone(4.72, -0.25, 0.06, mag_limit=11.0)
+    known, n = stars.motion_known, len(stars)
+    assert 50 < known.sum() < n
+    east, north = tangent_basis(stars.ra_rad, stars.dec_rad)
+    believed, squares = stars.directions(et, observer_km), []
+    weight = np.linalg.inv(stars.sky_covariance(et, observer_km))
+    for seed in range(30):
+        off = true_stars(stars, seed).directions(et, observer_km) - believed
+        on_sky = np.stack([(off * axis).sum(axis=1) for axis in (east, north)], axis=-1)
+        squares.append(np.einsum("ni,nij,nj->n", on_sky, weight, on_sky) / 2.0)
+    assert np.mean(np.array(squares)[:, known]) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(np.array(squares)[:, ~known]) > 0.5  # of a mixture with tails
+    few = true_stars(stars.take(slice(3, 9)), 5)
+    assert np.array_equal(few.ra_rad, true_stars(stars, 5).ra_rad[3:9])
+    assert not np.array_equal(few.ra_rad, true_stars(stars, 6).ra_rad[3:9])

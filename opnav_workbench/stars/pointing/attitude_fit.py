@@ -16,7 +16,7 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.camera import Camera
-from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.geometry import radec_from_unit, tangent_basis, vector_from_rotation
 from opnav_workbench.stars.pointing.attitude_steps import StepModel
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "AttitudePrior",
     "LinearizedProblem",
     "PointingProblem",
+    "catalog_turns",
     "fit_attitude",
     "with_common_errors",
     "with_excess_covariance",
@@ -234,7 +235,7 @@ def fit_attitude(
 def with_excess_covariance(fit: AttitudeFit, excess_sigma_px: float) -> AttitudeFit:
     """Return the same attitude, its covariance that of centers with an excess error the weights do not know of."""
     # Whitened centers have unit variance and, of the excess, that of the whitening itself.
-    parts = _per_center(fit, 0.0)
+    parts = _turns_of_centers(fit.linear, 0.0)
     added = excess_sigma_px**2 * np.sum(parts @ np.swapaxes(parts, 1, 2), axis=0)
     return replace(fit, covariance_rad2=symmetric(fit.covariance_rad2 + added))
 
@@ -250,7 +251,7 @@ def with_common_errors(fit: AttitudeFit, common_px: FloatArray, excess_sigma_px:
     excess_sigma_px
         With which the stars were weighted.
     """
-    each = _per_center(fit, excess_sigma_px) @ common_px  # (n, 3, r)
+    each = _turns_of_centers(fit.linear, excess_sigma_px) @ common_px  # (n, 3, r)
     shared = np.sum(each, axis=0)
     added = shared @ shared.T - np.sum(each @ np.swapaxes(each, 1, 2), axis=0)
     return replace(
@@ -260,12 +261,42 @@ def with_common_errors(fit: AttitudeFit, common_px: FloatArray, excess_sigma_px:
     )
 
 
-def _per_center(fit: AttitudeFit, excess_sigma_px: float) -> FloatArray:
-    """Return the attitude's change with each used star's center, (n, 3, 2) rad/px."""
-    rows, _ = fit.linear.rows(excess_sigma_px)
-    gain = np.linalg.solve(rows.T @ rows, rows.T)[:, : fit.linear.residual_px.size]
-    whiten = _whitening(fit.linear.covariance_px2, excess_sigma_px)
+def _turns_of_centers(linear: LinearizedProblem, excess_sigma_px: float) -> FloatArray:
+    """d(eps)/d(center) of each star, (n, 3, 2) rad/px."""
+    rows, _ = linear.rows(excess_sigma_px)
+    gain = np.linalg.solve(rows.T @ rows, rows.T)[:, : linear.residual_px.size]
+    whiten = _whitening(linear.covariance_px2, excess_sigma_px)
     return np.asarray(gain.reshape(3, -1, 2).transpose(1, 0, 2) @ whiten)
+
+
+def catalog_turns(
+    fit: AttitudeFit,
+    center_covariance_px2: FloatArray,
+    directions: FloatArray,
+    excess_sigma_px: float,
+) -> FloatArray:
+    """Return how far one sigma of each star's catalog errors turns an attitude, (n, 3, 2) rad.
+
+    The two unit errors of a star are along the axes of the symmetric root of its covariance toward east and north, so that
+    they are the same ones in every picture, whatever its attitude.
+
+    Parameters
+    ----------
+    center_covariance_px2 : (n, 2, 2) array
+        Of the centers alone; what `fit` counts beyond it is the catalog's.
+    directions : (n, 3) array
+        J2000.
+    """
+    of_catalog = fit.linear.covariance_px2 - center_covariance_px2
+    east, north = tangent_basis(*radec_from_unit(directions))
+    axes = np.stack([east, north], axis=-1)  # (n, 3, 2)
+    # A turn of v x d about the camera's axes moves v by d.
+    moved = np.cross((directions @ fit.attitude.T)[:, None], np.swapaxes(fit.attitude @ axes, 1, 2))
+    to_px = fit.linear.jacobian @ np.swapaxes(moved, 1, 2)  # (n, 2, 2) px/rad toward east, north
+    to_sky = np.linalg.inv(to_px)
+    values, vectors = np.linalg.eigh(symmetric(to_sky @ of_catalog @ np.swapaxes(to_sky, 1, 2)))
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None]) @ np.swapaxes(vectors, 1, 2)
+    return np.asarray(_turns_of_centers(fit.linear, excess_sigma_px) @ to_px @ root)
 
 
 def _finish(

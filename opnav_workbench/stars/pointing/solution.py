@@ -6,7 +6,7 @@ Arrays are read-only. `iteration_table` gives the steps as a table, such as the 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,6 +90,9 @@ class PointingSolution:
         False where the rotation about the boresight rests on its a priori value.
     messages
         What the analyst should know.
+    catalog_turns_rad : (n, 3, 2) array
+        How far `eps` is turned by one sigma of each star's catalog errors, along two axes that are the same in every picture
+        that shows the star (`attitude_fit.catalog_turns`); 0 for stars not used. Empty: nobody told, or not from stars.
     """
 
     camera_from_j2000: FloatArray
@@ -112,6 +115,7 @@ class PointingSolution:
     model: str
     twist_solved: bool
     messages: tuple[str, ...]
+    catalog_turns_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 2)))
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -26,6 +26,7 @@ from opnav_workbench.stars.pointing.attitude_fit import (
     AttitudeFit,
     AttitudePrior,
     PointingProblem,
+    catalog_turns,
     fit_attitude,
     with_common_errors,
 )
@@ -306,7 +307,8 @@ def solve_pointing(
     selection, fit = _select_and_fit(given, model, _trusted(given, trusted), motion_tails)
     if common_px is not None:
         fit = _with_common(given, selection, fit, common_px)
-    return _solution(given, selection, fit, model)
+    centers = None if catalog_covariance_px2 is None else symmetric(np.asarray(covariance_px2, float))
+    return _solution(given, selection, fit, model, centers)
 
 
 def _trusted(given: PointingInput, trusted: ArrayLike | None) -> BoolArray | None:
@@ -377,12 +379,22 @@ def _with_tails(
 
 
 def _solution(
-    given: PointingInput, selection: StarSelection, fit: AttitudeFit, model: PointingModel
+    given: PointingInput,
+    selection: StarSelection,
+    fit: AttitudeFit,
+    model: PointingModel,
+    center_covariance_px2: FloatArray | None,
 ) -> PointingSolution:
     camera = given.sightings.camera.standing(fit.attitude)
     used = np.zeros(len(given.reasons), dtype=bool)
     used[given.index] = selection.used
     residual = given.observed_px - camera.project(given.directions @ fit.attitude.T)
+    turns = np.zeros((0, 3, 2))
+    if center_covariance_px2 is not None:
+        turns = np.zeros((len(used), 3, 2))
+        turns[used] = catalog_turns(
+            fit, center_covariance_px2[used], given.directions[used], selection.excess_sigma_px
+        )
     steps = steps_between(camera, _attitude_path(given, fit))
     ra, dec, twist = pointing_angles(fit.attitude, camera.focal_from_camera)
     return PointingSolution(
@@ -406,6 +418,7 @@ def _solution(
         model=model,
         twist_solved=fit.twist_solved,
         messages=_messages(given, selection, fit),
+        catalog_turns_rad=turns,
     )
 
 

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import PointingError
-from opnav_workbench.geometry import vector_from_rotation
+from opnav_workbench.geometry import (
+    radec_from_unit,
+    rotation_from_vector,
+    tangent_basis,
+    vector_from_rotation,
+)
 from opnav_workbench.stars.pointing import solve_pointing
 
 TRIALS = 600  # the ratio is then known to 2.9 %
@@ -148,3 +153,49 @@ def test_shared_errors_of_other_stars_are_refused(cameras, star_field):
     field = star_field(cameras["lorri"], np.random.default_rng(9), 5)
     with pytest.raises(PointingError, match="common_px has shape"):
         solve_pointing(*field.arguments, common_px=np.zeros((4, 2, 1)))
+
+
+@pytest.mark.parametrize("name", ["lorri", "mapcam"])
+def test_a_star_off_its_catalog_turns_every_picture_of_it(cameras, star_field, name):
+    """By differences, with the errors toward east and north on the sky: those of one star are the same in two pictures."""
+    camera, rng, n = cameras[name], np.random.default_rng(6), 7
+    first = star_field(camera, rng, n, sigma_px=0.05)
+    turned = rotation_from_vector(0.3 * camera.boresight) @ first.attitude  # the same stars, another twist
+    sky = [mixed_covariances(rng, 1)[0] * camera.pixel_scale_rad**2 for _ in range(n)]
+    values, vectors = np.linalg.eigh(np.array(sky))
+    roots = (vectors * np.sqrt(values)[:, None]) @ np.swapaxes(vectors, 1, 2)
+    axes = np.stack(tangent_basis(*radec_from_unit(first.directions)), axis=-1)  # (n, 3, 2)
+    for attitude in (first.attitude, turned):
+        place = camera.project(first.directions @ attitude.T)
+        inside = camera.on_detector(place)
+        assert inside.sum() >= 5
+        rows = np.flatnonzero(inside)
+        steps = [
+            camera.project((first.directions[:, None] + h * np.swapaxes(axes, 1, 2)) @ attitude.T)
+            for h in (1e-7, -1e-7)
+        ]
+        to_px = np.swapaxes(steps[0] - steps[1], 1, 2) / 2e-7
+        covariance = to_px @ np.array(sky) @ np.swapaxes(to_px, 1, 2)
+
+        def solved(directions, rows=rows, covariance=covariance, place=place, attitude=attitude):
+            return solve_pointing(
+                place[rows],
+                first.covariance_px2[rows],
+                directions[rows],
+                camera,
+                attitude,
+                catalog_covariance_px2=covariance[rows],
+            )
+
+        even = solved(first.directions)
+        sum_of = np.einsum("nij,nkj->ik", even.catalog_turns_rad, even.catalog_turns_rad)
+        assert (np.linalg.eigvals(np.linalg.solve(even.covariance_rad2, sum_of)) < 1.0).all()
+        for k, row in enumerate(rows[:3]):
+            for axis in (0, 1):
+                off = np.array(first.directions)
+                off[row] += 0.1 * axes[row] @ roots[row][:, axis]
+                turn = vector_from_rotation(even.camera_from_j2000 @ solved(off).camera_from_j2000.T) / 0.1
+                scale = np.abs(even.catalog_turns_rad[k]).max(axis=1)
+                np.testing.assert_allclose(
+                    even.catalog_turns_rad[k][:, axis] / scale, turn / scale, atol=0.02
+                )
