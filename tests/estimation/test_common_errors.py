@@ -164,6 +164,7 @@ def with_turned_attitudes(observables, turns, displaced, rng):
     return drawn
 
 
+@pytest.mark.slow
 def test_filter_knows_stars_in_common_as_the_batch_does(approach, pictures, displaced):
     rng = np.random.default_rng(8)
     believed, turns = starred(approach(), pictures, rng)

@@ -91,6 +91,7 @@ def test_two_times_of_which_nothing_tells_the_right_one(told):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -152,6 +152,7 @@ def test_no_error_and_errors_of_other_kernels(et, camera):
     ) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_true_stars_are_off_by_what_their_catalog_leaves_open(et):
     """Seen from Pluto; a star's error is its own, whoever stands beside it."""
     catalog, observer_km = open_catalog("bundled"), np.array([1.3e9, -4.5e9, -1.6e9])

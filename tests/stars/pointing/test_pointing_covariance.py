@@ -155,6 +155,7 @@ def test_shared_errors_of_other_stars_are_refused(cameras, star_field):
         solve_pointing(*field.arguments, common_px=np.zeros((4, 2, 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lorri", "mapcam"])
 def test_a_star_off_its_catalog_turns_every_picture_of_it(cameras, star_field, name):
     """By differences, with the errors toward east and north on the sky: those of one star are the same in two pictures."""
