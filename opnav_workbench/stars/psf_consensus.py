@@ -211,7 +211,8 @@ class _Frame:
     ) -> tuple[StarCenters, ShapePrior]:
         """Keep the Gaussian, and let the sigmas of undersampled stars have what nobody knows of the light in a pixel.
 
-        What one or two stars say of it is too little to move centers by. How much it may be they tell nevertheless.
+        What few stars say of it is too little to move centers by: a Gaussian's would err by a third more. How much it may be
+        they tell nevertheless.
         """
         if shape.sigma_px >= UNDERSAMPLED_SIGMA_PX:
             return centers, shape
@@ -300,7 +301,7 @@ STRANGE_MISFIT = 3.0  # times what is usual: no star of the same PSF
 STRANGE_SHARE = 0.4  # of the light, left over by a fit: less may be a neighbor's wing
 MIN_ALIKE = 2  # stars without a hit that tell what is usual
 MIN_TEACHERS, MAX_TEACHERS = 3, 120  # fewer tell nothing; of more the brightest say it all
-FEW_TEACHERS = 8  # among these a track taken for a star would be heard
+MIN_BLIND_TEACHERS = 8  # where no misfit is seen: fewer would learn noise, at a third more of their own error
 UNDERSAMPLED_SIGMA_PX = 0.6  # below, a star alone does not show that it is no Gaussian
 COMMON_SHAPE_SIGMA = (
     0.01  # of its log scale and ellipticity from star to star until they tell: most of what shows is phase
@@ -312,7 +313,7 @@ def _teachers(centers: StarCenters) -> IntArray:
     """Return the rows of the brightest well-exposed stars, without those that fit far worse than the others."""
     rows = np.flatnonzero(well_exposed(centers, TEACHING_SNR) & ~strange_images(centers))
     whole = rows[(centers.flags[rows] & int(StarFlag.HIT)) == 0]
-    if len(whole) >= MIN_ALIKE and len(rows) < FEW_TEACHERS:
+    if len(whole) >= MIN_ALIKE and len(rows) < MIN_BLIND_TEACHERS:
         rows = whole  # among few, a track taken for a star would be heard
     brightest = rows[np.argsort(-centers.snr[rows], kind="stable")[:MAX_TEACHERS]]
     return np.sort(brightest)
@@ -351,7 +352,8 @@ def _gaussian_may_fail(centers: StarCenters, psf: ShapePrior, teachers: IntArray
     """Tell whether a Gaussian may not describe the stars: it visibly does not, or nobody could see it."""
     if len(teachers) < MIN_TEACHERS:
         return False
-    return psf.sigma_px < UNDERSAMPLED_SIGMA_PX or _misfit(centers, teachers)
+    blind = psf.sigma_px < UNDERSAMPLED_SIGMA_PX and len(teachers) >= MIN_BLIND_TEACHERS
+    return blind or _misfit(centers, teachers)
 
 
 def _spoils(centers: StarCenters, teachers: IntArray) -> bool:

@@ -192,6 +192,22 @@ class TestDisplayPictures:
         gray.with_suffix(".tif").write_bytes(b"II*\0" + bytes(40))
         assert "damaged TIFF file" in error_of(gray.with_suffix(".tif"))
 
+    def test_a_library_tells_the_terminal_nothing_of_a_damaged_file(self, gray, caplog):
+        path = gray.with_suffix(".tif")
+        tifffile.imwrite(path, np.ones((6, 8)))
+        damaged = bytearray(path.read_bytes())
+        (folder,) = struct.unpack("<I", damaged[4:8])
+        kind = (
+            folder
+            + 2
+            + 2
+            + 12 * [t for t, *_ in struct.iter_unpack("<HHII", damaged[folder + 2 : folder + 62])].index(256)
+        )
+        damaged[kind : kind + 10] = struct.pack("<HII", 5, 3, 1 << 30)  # its width: rationals beyond the end
+        path.write_bytes(damaged)
+        assert "TIFF" in error_of(path)
+        assert not caplog.records
+
     @pytest.mark.parametrize(
         ("dtype", "order", "sample_format"),
         [

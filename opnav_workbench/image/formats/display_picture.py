@@ -7,6 +7,9 @@ mirrored is left aside, as how the detector lies is the camera file's matter.
 """
 
 import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +99,7 @@ def _reals_and_large(name: str, data: bytes) -> StoredPicture | None:
     import tifffile  # noqa: PLC0415
 
     try:
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
+        with _silent("tifffile"), tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages.first
             if (
                 len(page.shape) != 2
@@ -108,6 +111,8 @@ def _reals_and_large(name: str, data: bytes) -> StoredPicture | None:
             check_size(name, page.size)
             values, frames = np.asarray(page.asarray()), len(file.pages)
             is_negative = int(page.photometric) == WHITE_IS_ZERO
+            if values.ndim != 2:  # damaged: its words for lines and pixels are not those of its data
+                return None
     except (ImageError, MemoryError):
         raise
     except Exception:  # whatever the library says of what it cannot read: Pillow's answer stands
@@ -117,6 +122,17 @@ def _reals_and_large(name: str, data: bytes) -> StoredPicture | None:
         messages.append(WHITE_ZERO)
         values = _counted_down(values)
     return _stored(values, "F", {}, messages)
+
+
+@contextmanager
+def _silent(library: str) -> Iterator[None]:
+    """Keep what a library logs of a damaged file from the terminal: the error says it in one line."""
+    logger = logging.getLogger(library)
+    before, logger.disabled = logger.disabled, True
+    try:
+        yield
+    finally:
+        logger.disabled = before
 
 
 def _counted_down(values: NDArray[Any]) -> NDArray[Any]:
