@@ -154,11 +154,7 @@ def assisted_target(
     504002
     """
     camera = camera.standing(camera_from_j2000)
-    toward = camera.unproject(body.center_px[None])[0]
-    if not np.isfinite(toward).all():
-        raise CenterfindingError(
-            f"{name}: {body.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
-        )
+    toward = _toward(body, camera, f"{name}: ")
     axes = picture_axes(camera, body.center_px, toward)
     distance = body.range_km or _range(axes, body)
     sideways = np.cos(body.sun_angle_rad) * axes[0] + np.sin(body.sun_angle_rad) * axes[1]
@@ -196,13 +192,19 @@ def apparent_radius_px(body: AssistedBody, camera: Camera) -> float:
     if body.radius_px is not None and body.range_km is None:
         return body.radius_px
     assert body.range_km is not None
-    toward = camera.unproject(body.center_px[None])[0]
-    if not np.isfinite(toward).all():
-        raise CenterfindingError(
-            f"{body.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
-        )
+    toward = _toward(body, camera)
     rad_per_px = _rad_per_px(picture_axes(camera, body.center_px, toward))
     return float(np.arcsin(body.mean_radius_km / body.range_km)) / rad_per_px
+
+
+def _toward(body: AssistedBody, camera: Camera, whose: str = "") -> FloatArray:
+    """Return the unit vector (3,) to a body's center, camera frame."""
+    toward = np.asarray(camera.unproject(body.center_px[None])[0])
+    if not np.isfinite(toward).all():
+        raise CenterfindingError(
+            f"{whose}{body.center_px.tolist()} px lies beyond what the model of {camera.name} covers."
+        )
+    return toward
 
 
 def phase_at_terminator(
