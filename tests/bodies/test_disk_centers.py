@@ -130,7 +130,7 @@ def test_noise_of_a_center_is_what_other_noise_moves_it_by(body_stage):
     assert np.linalg.eigvals(np.linalg.solve(whole, noise)).real.max() < 0.5
 
 
-@pytest.mark.slow(keep=["9-45.0-0.2"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "diameter", "blobs"), [(9, 45.0, 0.2), (7, 100.0, 0.35), (2, 45.0, 0.6)])
 def test_sharp_patches_on_a_dim_limb_make_no_disk_larger(seed, diameter, blobs):
     """A larger disk with a darker rim explains them as well, where the albedo has too few nodes to do it itself."""

@@ -112,6 +112,7 @@ def test_columns_are_the_changes_of_light_that_is_tabulated_anew(body_stage, dia
             assert away < 0.08, (unknown.name, away)
 
 
+@pytest.mark.slow
 def test_light_is_tabulated_at_the_law_that_the_picture_has():
     """Lambert's, begun half way to Lommel-Seeliger's on a patched surface: 0.4 px off where tables were extrapolated."""
     setup = TrialSetup(
@@ -127,6 +128,7 @@ def test_light_is_tabulated_at_the_law_that_the_picture_has():
     assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0
 
 
+@pytest.mark.slow
 def test_edges_within_pieces_of_limb_draw_no_center_along():
     """Patches as wide as the body, nine times darker: cells that an edge cuts draw the center along."""
     trial = make_trial(

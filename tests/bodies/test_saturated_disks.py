@@ -17,7 +17,7 @@ OVEREXPOSED = {  # of the peak the detector holds a tenth or so
 }
 
 
-LONG = ("half lit, 740 px", "crescent, 260 px")
+LONG = ("half lit, 740 px", "crescent, 260 px", "mottled, 150 px")
 
 
 @pytest.fixture(

@@ -28,6 +28,7 @@ from stand_ins import stand_in, write_manifest
 
 BINARY = (".fit", ".npz", ".sqlite", ".bsp")
 LONGEST_ERROR = 2100
+LONG = ("process", "night", "check what was written")
 BORESIGHT = (0.0, 0.0, -1.0)  # of LORRI
 FARTHEST_RAD = 6e-4  # of a right pointing from the truth: 2 arcmin, aberration with the wrong velocity; a false one is far
 
@@ -186,7 +187,9 @@ def web(folder):
 FROM_RUN = ("run", "o.csv", "o.json", "o.tdm", "a.sqlite")
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in LONG else ()) for name in COMMANDS]
+)
 def test_command(name, fuzz, folder, web, demo_truths, request):
     command, rng = COMMANDS[name], fuzz.random(name)
     if any(word in f"{command.line} {command.files}" for word in FROM_RUN):

@@ -123,6 +123,7 @@ def test_done_is_not_done_twice_and_changes_are_done_again(tmp_path, stand_in):
     assert [p.state for p in plan_night(other, out).pictures] == ["new", "new", "new"]
 
 
+@pytest.mark.slow
 def test_an_analysts_session_is_left_alone(tmp_path, stand_in):
     folder, out = pictures(tmp_path / "in", a="fine"), tmp_path / "out"
     night = night_of(folder, stand_in, out)

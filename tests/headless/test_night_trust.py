@@ -677,6 +677,7 @@ def test_why_tells_what_has_changed(images, out, monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_an_incoming_folder_is_watched_and_half_written_files_are_let_be(images, out, monkeypatch):
     naps = []
 

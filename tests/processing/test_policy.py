@@ -67,6 +67,7 @@ def test_an_unknown_target_costs_no_pointing(picture, tmp_path):
     assert [body["name"] for body in outcome.result["bodies"]] == ["PLUTO"]
 
 
+@pytest.mark.slow
 def test_a_target_outside_the_field_is_told_and_spoils_no_picture(picture, tmp_path):
     """Toward Pluto, the Sun is behind the camera."""
     with KernelSet(DEMO_KERNELS):

@@ -16,6 +16,7 @@ from opnav_workbench.session import BODY_METHODS
 from opnav_workbench.session.autosave import STATE_FILE
 
 
+@pytest.mark.slow
 def test_it_writes_what_the_command_writes(demo_truths, tmp_path):
     picture, gone = demo_truths[0].picture, tmp_path / "gone.fit"
     options = {"mission": "new_horizons", "kernels": DEMO_KERNELS, "targets": "PLUTO,CHARON:unresolved"}

@@ -92,6 +92,7 @@ def test_a_described_body_is_the_ephemeris_state_that_looks_so(near, seen):
     assert far.range_km == pytest.approx(by_kernels.range_km, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_a_picture_without_any_attitude_gives_place_and_range(starless_truth, seen, tmp_path):
     truth = starless_truth
     unknown = ImageSession.open(truth.picture, "new_horizons", attitude="unknown")
@@ -147,6 +148,7 @@ def test_a_sun_beside_its_place_moves_a_center_no_farther_than_told(
     assert np.hypot(*off) > {"ellipse": 0.02, "disk": 0.005}[method]  # what it does move
 
 
+@pytest.mark.slow
 def test_a_file_of_decisions_is_all_that_a_night_needs(starless_truth, tmp_path):
     truth = starless_truth
     bare = _without_geometry(truth.picture, tmp_path / "bare.fit")
@@ -236,6 +238,7 @@ def test_with_a_pointing_a_described_body_has_a_direction_but_no_residual(near, 
         estimate([observable], ("spacecraft_position",))
 
 
+@pytest.mark.slow
 def test_a_described_body_stays_where_it_was_put_when_the_pointing_changes(unknown, resolved_truths):
     said = by_eye(resolved_truths[0])
     unknown.predict()

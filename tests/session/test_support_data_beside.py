@@ -58,6 +58,7 @@ def opened(case: Case, told: dict | None = None, name: str = "other") -> ImageSe
     return ImageSession.open(case.folder / f"{name}.tif", case.folder / "mapped")
 
 
+@pytest.mark.slow
 def test_picture_and_support_data_are_solved_as_with_kernels(case):
     """Two files, no kernels and no exposure: attitude, spacecraft, Sun and body are where the kernels have them."""
     session = opened(case)

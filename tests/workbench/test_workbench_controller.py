@@ -165,6 +165,7 @@ def test_expected_errors_are_told_in_their_own_words():
     )
 
 
+@pytest.mark.slow
 def test_long_work_shows_progress_and_can_be_cancelled(star_hands, monkeypatch):
     go_on, steps = threading.Event(), star_hands.steps
     original = star_hands.session.repoint
