@@ -17,6 +17,7 @@ from rich.text import Text
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.cli.terminal import folding_table, shown
 from opnav_workbench.constants import DAY_S, HOUR_S, MINUTE_S
+from opnav_workbench.errors import some_of
 from opnav_workbench.kernels import (
     CoverageRow,
     FetchedKernels,
@@ -105,12 +106,11 @@ def _content_words(told: KernelBrief) -> str:
     if not told.rows:
         return f"{len(told.variables)} variables"
     names = list(dict.fromkeys(row.name for row in told.rows))
-    more = f" and {len(names) - SHOWN_BODIES} more" if len(names) > SHOWN_BODIES else ""
     spans = [span for row in told.rows for span in row.spans]
     first, last = (min(s for s, _ in spans)[:10], max(s for _, s in spans)[:10]) if spans else ("", "")
     when = f", {first} to {last}" if first != last else f", {first}" if first else ""
     notes = ", ".join(dict.fromkeys(row.note for row in told.rows if row.note))
-    return ", ".join(names[:SHOWN_BODIES]) + more + when + (f", {notes}" if notes else "")
+    return some_of(names, SHOWN_BODIES) + when + (f", {notes}" if notes else "")
 
 
 def print_brief(console: Console, told: KernelBrief) -> None:
@@ -235,8 +235,7 @@ def _coverage_table(check: KernelCheck, axis: tuple[float, float], width: int) -
 
 def _unasked_names(check: KernelCheck) -> str:
     names = [row.name for row in check.rows if not row.needed]
-    more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-    return f"also there: {', '.join(names[:SHOWN_NAMES])}{more}" if names else ""
+    return f"also there: {some_of(names, SHOWN_NAMES)}" if names else ""
 
 
 def _covers_time(row: CoverageRow, et: float) -> str:
@@ -271,8 +270,7 @@ def _print_stretches(console: Console, check: KernelCheck) -> None:
     if found:
         console.print()
     for words, names in found.items():
-        more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-        text = words.format(shown(", ".join(names[:SHOWN_NAMES]) + more))
+        text = words.format(shown(some_of(names, SHOWN_NAMES)))
         console.print(text, highlight=False, soft_wrap=True)
 
 

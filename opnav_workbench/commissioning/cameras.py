@@ -13,7 +13,7 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import AttitudeSigma, Camera, NoDistortion, Origin, RowTiming
 from opnav_workbench.camera.support_data import read_support_data
 from opnav_workbench.constants import RAD_PER_DEG
-from opnav_workbench.errors import CameraError, MissionError, OpNavError
+from opnav_workbench.errors import CameraError, MissionError, OpNavError, some_of
 from opnav_workbench.kernels import KernelSet, instrument_ids, instrument_values
 
 __all__ = [
@@ -195,8 +195,7 @@ def _alike(camera: Camera, other: Camera) -> bool:
 
 
 def _listed(numbers: Sequence[int]) -> str:
-    more = f" and {len(numbers) - SHOWN} more" if len(numbers) > SHOWN else ""
-    return ", ".join(map(str, numbers[:SHOWN])) + more
+    return some_of(list(map(str, numbers)), SHOWN)
 
 
 def _of_size(every: Sequence[Camera], shape: tuple[int, int], *, or_refuse: bool) -> list[Camera]:
@@ -245,8 +244,7 @@ def _named(found: Sequence[Camera]) -> str:
     ]
     if len(groups) == 1:
         parts = [f"{c.instrument_id} ({c.name}, {c.focal_length_mm:g} mm)" for c in found]
-    more = f" and {len(parts) - SHOWN} more" if len(parts) > SHOWN else ""
-    return ", ".join(parts[:SHOWN]) + more
+    return some_of(parts, SHOWN)
 
 
 def _is_wanted(wanted: str, number: int, values: Any) -> bool:

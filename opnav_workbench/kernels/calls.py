@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
-from opnav_workbench.errors import KernelError, counted
+from opnav_workbench.errors import KernelError, counted, some_of
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.coverage import Coverage, ck_structures, windows_of
 from opnav_workbench.lazy_names import module_on_demand
@@ -285,8 +285,7 @@ def time_words(et: float) -> str:
 def loaded_text() -> str:
     """Name the loaded kernel files, lock held."""
     names = [f.path.name for f in pool.loaded_files()]
-    more = f" and {len(names) - SHOWN_FILES} more" if len(names) > SHOWN_FILES else ""
-    return f"Loaded kernels: {', '.join(names[:SHOWN_FILES]) or 'none'}{more}."
+    return f"Loaded kernels: {some_of(names, SHOWN_FILES) or 'none'}."
 
 
 def _diagnosed(look: Diagnosis | None, detail: str, request: SpiceRequest) -> tuple[str, str] | None:

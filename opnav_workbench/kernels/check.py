@@ -16,7 +16,7 @@ import spiceypy
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.constants import SOLAR_SYSTEM_BARYCENTER_ID
-from opnav_workbench.errors import KernelError
+from opnav_workbench.errors import KernelError, some_of
 from opnav_workbench.kernels import pool
 from opnav_workbench.kernels.calls import (
     SpiceRequest,
@@ -226,14 +226,9 @@ def gap_texts(rows: Sequence[CoverageRow], et: float) -> list[str]:
     for row in rows:
         alike.setdefault((row.kind, _gap(row, et)), []).append(row.name)
     return [
-        f"{kind} of {_names(names)}: {gap}; load {ARTICLE[kind]} that covers {time_text(et)}"
+        f"{kind} of {some_of(names, SHOWN_NAMES)}: {gap}; load {ARTICLE[kind]} that covers {time_text(et)}"
         for (kind, gap), names in alike.items()
     ]
-
-
-def _names(names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN_NAMES} more" if len(names) > SHOWN_NAMES else ""
-    return ", ".join(names[:SHOWN_NAMES]) + more
 
 
 def _gap(row: CoverageRow, et: float) -> str:

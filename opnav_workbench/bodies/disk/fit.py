@@ -33,14 +33,13 @@ from opnav_workbench.bodies.disk.limb_cells import (
     limb_pixels,
     limb_places,
 )
-from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share
+from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
-from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
@@ -407,7 +406,7 @@ class _DiskProblem:
         own = own_share(model.law, float(picture.phase_rad(name)))
         self.law_bounds = LAW_BOUNDS - [own, 0.0]
         self.psf_px = float(np.max(picture.psf.sigma_px))
-        self.psf_variance_px2 = self.psf_px**2 + PIXEL_VARIANCE_PX2
+        self.psf_variance_px2 = psf_variance(picture.psf)
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
@@ -663,8 +662,13 @@ class _Fitter:
         return min(solution.chi2 / _degrees(system) for system, solution in each)
 
     def _solve(self) -> None:
-        celled = self._celled(self.made.outline(self.shape))
-        self._solve_at(celled, self._columns(celled))
+        outline = self.made.outline(self.shape)
+        celled = self._celled(outline)
+        near, on_slopes = celled.samples, self.prior.on_slopes
+        columns = _columns_at(
+            self.made, self.shape, outline, near.places, near.spread_px, on_slopes=on_slopes
+        )
+        self._solve_at(celled, columns)
 
     def _solve_at(self, celled: _CelledSamples, columns: FloatArray) -> None:
         """Solve, with cells of sky that no model reaches counting as much as their residuals say (Huber's weights).
@@ -964,17 +968,6 @@ class _Fitter:
             return kept.seen_from(outline)
         near = problem.samples(outline)
         return _CelledSamples(outline, near, cell_of(near.places, problem.pieces, problem.edges))
-
-    def _columns(self, celled: _CelledSamples) -> FloatArray:
-        near = celled.samples
-        return _columns_at(
-            self.made,
-            self.shape,
-            self.made.outline(self.shape),
-            near.places,
-            near.spread_px,
-            on_slopes=self.prior.on_slopes,
-        )
 
     def _cells(self, celled: _CelledSamples, columns: FloatArray) -> _Cells:
         """Return the cells (j, c) of the samples."""

@@ -34,7 +34,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share"]
+__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share", "psf_variance"]
 
 PLANES = (
     "light", "by_depth", "by_angle", "blur", "wings", "halo",
@@ -226,7 +226,7 @@ def limb_light(
     return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance)
 
 
-def psf_variance(psf: Psf, blur_px2: float) -> float:
+def psf_variance(psf: Psf, blur_px2: float = 0.0) -> float:
     """Return the variance along each axis, px^2, of a PSF over a pixel with more blur, or less."""
     return max(float(np.max(psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + blur_px2, 0.0)
 
