@@ -133,7 +133,8 @@ def _field_of(
         off = f"the focal length is {100.0 * (answer.focal_scale - 1.0):+.2f} % off the camera file's"
         return LostField(
             None,
-            f"{off}: {answer.message}; calibrate the camera, or open the picture with focal_scale={scale:.5f}",
+            f"{off}: {answer.message}; calibrate the camera, or take attitude and focal length from the stars "
+            f"(--attitude none, or Settings(focal_scale={scale:.5f}))",
         )
     return LostField(answer.camera_from_j2000, answer.message)
 

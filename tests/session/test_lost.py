@@ -1,5 +1,6 @@
 """Pictures whose attitude nobody told, or told wrong: the stars alone tell it, or why they cannot."""
 
+import re
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -224,6 +225,18 @@ def test_another_focal_length(paint, sky):
     assert session.state.pointing.n_stars >= 0.7 * n_stars
     assert error_px(session, true) < 0.3
     assert any("+4.0" in message and "calibrate" in message for message in session.result()["messages"])
+
+
+@pytest.mark.slow
+def test_another_focal_length_is_told_where_the_attitude_is_wrong_too(paint, sky):
+    path, _, _ = paint((0.3, 0.2, 33.0), focal=1.04)
+    session = ImageSession.open(path, MISSION, catalog=sky[0])
+    session.predict()
+    session.find_stars()
+    assert session.result()["status"] == "failed"
+    (message,) = (m for m in session.result()["messages"] if "the focal length is +4.0" in m)
+    told = re.search(r"--attitude none, or Settings\(focal_scale=([0-9.]+)\)", message)
+    assert float(told[1]) == pytest.approx(1.04, abs=1e-3)
 
 
 @pytest.mark.slow
