@@ -9,6 +9,7 @@ import sqlite3
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -377,6 +378,17 @@ def test_what_stands_in_a_pictures_place_is_left_alone(images, out, tmp_path):
     assert (out / "b").read_text() == "mine"
 
 
+@pytest.mark.slow
+def test_what_comes_into_a_pictures_place_meanwhile_is_left_alone_and_not_archived(images, out):
+    def work(job, folder):
+        result_of(job, folder)
+        (out / "a").write_text("mine")
+
+    made = night(images, out, StubPool(work))
+    assert (out / "a").read_text() == "mine"
+    assert (list(made.unplaced), made.unarchived) == (["a"], [])
+
+
 def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
     """The clock was set back, or the file's time came with it from elsewhere."""
     ahead = time.time() + 1e6
@@ -390,11 +402,24 @@ def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
 def test_what_may_pass_is_tried_again(images, out, fault):
     made = night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
     assert made.unarchived == []
-    assert states(images, out, time_limit_s=20.0) == {"a": "new"}
+    (picture,) = plan_night(spec_of(images, time_limit_s=20.0), out).pictures
+    why = {
+        "machine": "the machine failed it: no luck",
+        "limit": "a limit is higher now than when it failed: no luck",
+    }
+    assert (picture.state, picture.why) == ("new", (why[fault],))
     with Campaign(out) as campaign:  # a machine's fault is no picture's
         assert [entry.status for entry in campaign.entries()] == ([] if fault == "machine" else ["failed"])
     if fault == "limit":
         assert states(images, out, time_limit_s=10.0) == {"a": "done"}
+
+
+def test_what_another_version_calls_a_fault_is_tried_again(images, out):
+    night(images, out)
+    record = json.loads((out / "a" / "night.json").read_text())
+    record["record"] |= {"fault": "cluster", "reason": "its node was drained"}
+    (out / "a" / "night.json").write_text(json.dumps(record))
+    assert states(images, out) == {"a": "new"}
 
 
 def test_a_picture_that_was_missing_for_a_moment_is_tried_again(images, out):
@@ -529,6 +554,28 @@ def test_a_damaged_archive_is_made_anew(images, out, damage):
     made = night(images, out)
     with Campaign(out) as campaign:
         assert campaign.digest() == whole
+    (kept,) = out.glob("campaign.sqlite.damaged-*")
+    assert kept.read_bytes() == content
+    assert kept.name in made.notes[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["images", "provenance"])
+def test_a_page_of_the_archive_that_is_damaged_is_found_where_it_is_read(images, out, table):
+    """That of `images` as a night asks what it knows, that of `provenance` as it takes a picture in."""
+    night(images, out)
+    file = out / "campaign.sqlite"
+    with closing(sqlite3.connect(file)) as archive:
+        (size,) = archive.execute("PRAGMA page_size").fetchone()
+        (page,) = archive.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", [table]).fetchone()
+    content = bytearray(file.read_bytes())
+    content[(page - 1) * size : page * size] = b"\x55" * size
+    file.write_bytes(content)
+    (images / "b.fit").write_text("picture b")
+    made = night(images, out)
+    assert made.unarchived == []
+    with Campaign(out) as campaign:
+        assert {entry.image for entry in campaign.entries()} == {"a.fit", "b.fit"}
     (kept,) = out.glob("campaign.sqlite.damaged-*")
     assert kept.read_bytes() == content
     assert kept.name in made.notes[0]
