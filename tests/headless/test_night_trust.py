@@ -414,6 +414,7 @@ def test_what_may_pass_is_tried_again(images, out, fault):
         assert states(images, out, time_limit_s=10.0) == {"a": "done"}
 
 
+@pytest.mark.slow
 def test_what_another_version_calls_a_fault_is_tried_again(images, out):
     night(images, out)
     record = json.loads((out / "a" / "night.json").read_text())
