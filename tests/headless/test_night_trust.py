@@ -25,9 +25,9 @@ from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import fitting_name
 from opnav_workbench.headless import night as night_module
-from opnav_workbench.headless.night import plan_night
+from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec
-from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_summary import night_summary_dict, write_night_summary
 from opnav_workbench.headless.night_workers import NotebookOutcome
 from opnav_workbench.headless.notebook_run import for_papermill
 from opnav_workbench.headless.watching import NightWatch
@@ -625,6 +625,9 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     status, said = run(images, out, monkeypatch, work)
     assert (status, "stopped (SIGTERM)" in said) == (143, True)
+    assert "1 ok, 0 partial, 0 failed, 1 waiting" in said
+    assert "not processed yet; run the same command again: b" in said
+    assert ("needs an analyst" in said, "opnav lab" in said) == (False, False)
     summary = json.loads((out / "summary.json").read_text())
     assert {row["name"]: row["status"] for row in summary["images"]} == {"a": "ok", "b": "waiting"}
     assert signal.getsignal(signal.SIGTERM) is before
@@ -635,6 +638,22 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert "stopped: Terminated SIGTERM" in log
     assert all(line[4] == "-" and line[19] == "Z" for line in log.splitlines())
     assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
+
+
+@pytest.mark.slow
+def test_what_a_stopped_night_has_put_into_its_place_is_done(images, out, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    stopped = Night(plan_night(spec_of(images), out))
+    monkeypatch.setattr(night_module, "_archive", stop)
+    with pytest.raises(KeyboardInterrupt):
+        run_night(stopped, StubPool())
+    (row,) = night_summary_dict(stopped)["images"]
+    assert (row["state"], row["status"]) == ("done", "ok")
+    other = Night(plan_night(spec_of(images, **OTHER), out))
+    (row,) = night_summary_dict(other)["images"]  # what stands there is of other inputs
+    assert (row["state"], row["status"]) == ("waiting", "waiting")
 
 
 class Dying:
