@@ -1,7 +1,7 @@
 """How a picture's process begins: as a copy of one that has loaded everything (warm), or as a new Python (cold).
 
-Both carry out the same job file with the same notebook and come to the same bits; warm costs less than half.  Where no process
-can be copied (on other systems than Linux, or where a library's threads forbid it), a night is cold and says why.
+Both carry out the same job file with the same notebook and come to the same bits; warm costs less than half.  Where no
+process can be copied (on other systems than Linux, or where a library's threads forbid it), a night is cold and says why.
 """
 
 import atexit
