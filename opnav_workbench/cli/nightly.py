@@ -26,12 +26,12 @@ from rich.progress import (
 from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, named_progress, shown
-from opnav_workbench.errors import SessionError
+from opnav_workbench.errors import SessionError, some_of
 from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
 from opnav_workbench.headless.night_pages import SUMMARY_FILE, SUMMARY_PAGE
 from opnav_workbench.headless.night_psf import MAX_PICTURES, learn_night_psf
 from opnav_workbench.headless.night_spec import NightSpec, load_night
-from opnav_workbench.headless.night_summary import night_summary_dict, write_night_summary
+from opnav_workbench.headless.night_summary import NOT_PROCESSED, night_summary_dict, write_night_summary
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.image.picture_files import NoPictures
@@ -92,7 +92,9 @@ def nightly(
     ] = None,
     cold: Annotated[
         bool,
-        typer.Option("--cold", help="A new Python for every picture: the same results, four times slower."),
+        typer.Option(
+            "--cold", help="A new Python for every picture: the same results, two to three times slower."
+        ),
     ] = False,
     why: Annotated[
         str | None,
@@ -350,11 +352,15 @@ def _run_plan(
 
 def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> None:
     counts = summary["counts"]
-    words = (("ok", "green"), ("partial", "yellow"), ("failed", "bold red"))
+    words = [("ok", "green"), ("partial", "yellow"), ("failed", "bold red")]
+    words += [("waiting", "yellow")] if "waiting" in counts else []
     console.print(
         ", ".join(f"[{style}]{counts.get(status, 0)} {status}[/]" for status, style in words), highlight=False
     )
-    causes = report.night_causes(summary["images"])
+    left = [row["name"] for row in summary["images"] if row["state"] == "waiting"]
+    if left:
+        console.print(f"[yellow]{NOT_PROCESSED}:[/] {shown(some_of(left))}", highlight=False)
+    causes = report.night_causes([row for row in summary["images"] if row["state"] != "waiting"])
     for cause in causes[:SHOWN]:
         row, count = cause.rows[0], len(cause.rows)
         others = f" and {count - 1} more like it" if count > 1 else ""

@@ -533,10 +533,9 @@ def _put_results(night: Night, picture: NightPicture, verdict: NotebookOutcome) 
 def _record(
     picture: NightPicture, verdict: NotebookOutcome, work: Path, touched: tuple[str, ...]
 ) -> NightRecord:
-    passing = touched or not FAULTS[verdict.fault].is_result
     return replace(
         picture.basis,
-        fingerprint="" if passing else picture.fingerprint,
+        fingerprint="" if touched else picture.fingerprint,
         session=session_digest(work),
         fault=verdict.fault,
         reason=verdict.reason,

@@ -54,7 +54,7 @@ class NightSpec(Processing):
     warm: bool = Field(
         default=True,
         description="Processes of pictures are copies of one that has loaded everything; false: each is a new Python, "
-        "four times slower.",
+        "two to three times slower.",
     )
     learn_psf: bool = Field(
         default=True,

@@ -19,7 +19,7 @@ from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, wri
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["night_summary_dict", "write_night_summary"]
+__all__ = ["NOT_PROCESSED", "night_summary_dict", "write_night_summary"]
 
 FIGURE_FILE = "summary.png"
 POINTING_KEYS = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
@@ -117,7 +117,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
     folder = inside(night.plan.out, picture.name)
     record = read_record(folder)
     result = _read_result(folder, record)
-    state = _state_word(night, picture, processed_now)
+    state = _state_word(night, picture, record, processed_now)
     if state == "waiting":
         result = {"status": "waiting", "messages": [NOT_PROCESSED]}
     bodies = result.get("bodies") or []
@@ -143,15 +143,25 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
     }
 
 
-def _state_word(night: Night, picture: NightPicture, processed_now: bool) -> str:
+def _state_word(night: Night, picture: NightPicture, record: NightRecord | None, processed_now: bool) -> str:
     """Return whose the result is that stands in a picture's folder; "waiting" where there is none yet."""
     if picture.name in night.unplaced:
         return "kept"
     if picture.name in night.outlived:
         return "older"
     if picture.state in ("new", "arriving"):
-        return "now" if processed_now else "waiting"
+        return "now" if processed_now else "done" if _stands(picture, record) else "waiting"
     return picture.state
+
+
+def _stands(picture: NightPicture, record: NightRecord | None) -> bool:
+    """Tell of a picture whose turn did not come, or did not end, whether a good result of the same inputs is in its place.
+
+    A night that is stopped as it puts a result there has it.
+    """
+    if record is None or record.fault or record.status == "failed":
+        return False
+    return bool(picture.fingerprint) and record.fingerprint == picture.fingerprint
 
 
 def _body_row(body: Mapping[str, Any]) -> dict[str, Any]:

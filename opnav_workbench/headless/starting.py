@@ -1,7 +1,7 @@
 """How a picture's process begins: as a copy of one that has loaded everything (warm), or as a new Python (cold).
 
-Both carry out the same job file with the same notebook and come to the same bits; warm costs a quarter.  Where no process
-can be copied (on other systems than Linux, or where a library's threads forbid it), a night is cold and says why.
+Both carry out the same job file with the same notebook and come to the same bits; warm costs less than half.  Where no
+process can be copied (on other systems than Linux, or where a library's threads forbid it), a night is cold and says why.
 """
 
 import atexit
@@ -128,7 +128,7 @@ class WarmStarter:
                 self._server.close()
                 self._server = None
             if self._lost == WARM_TRIES:
-                self._notice(f"pictures go the cold way, four times slower: {why}")
+                self._notice(f"pictures go the cold way, two to three times slower: {why}")
 
     def _check_open(self) -> None:
         if self._closed:

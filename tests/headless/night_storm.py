@@ -4,9 +4,9 @@
 
 Nights with changing options run over the same pictures and are killed (SIGKILL) or ended (SIGTERM) at random moments, while
 analysts open some of the pictures, decide, and leave or are killed.  Real processes, locks and signals; a picture's
-processing is stood in for, so that an event takes a second.  With ``--warm`` a short notebook stands in for it, in copies of
-a warm process, as a real night has them, and these processes are killed too.  At the end one night is left in peace, and it
-is asked:
+processing is stood in for, so that an event takes a second.  With ``--warm`` a short notebook stands in for it, in
+processes as a real night has them, which are killed too: copies of a warm one, in every fourth night a new Python each.  At
+the end a night is left in peace, and it is asked:
 
 * does every decision that an analyst was told is saved stand in the picture's folder, or in the attic?
 * is everything else what a night that nobody disturbed makes of the same pictures?
@@ -44,6 +44,7 @@ from stub_night import Analyst, StubPool, decisions_below, result_of, spec_of
 
 MODELS = ("euler", "image_plane")
 NEW_DESKS = 0.05  # of the events
+COLD_NIGHTS = 0.25
 LONGEST_S = 2.5  # before a night is ended: some come far, some not to their first picture
 LONGEST_WARM_S = 15.0  # of which it takes some to load everything
 STATE_FILE = "storm.json"
@@ -143,9 +144,9 @@ class Storm:
         known = {"saved": sorted(self.saved), "used": sorted(self.used), "desks": self.desks}
         write_json(self.top / STATE_FILE, {**known, "count": dict(self.count), "events": self.events})
 
-    def night(self, out: Path, model: str, *, peace: bool = False) -> None:
+    def night(self, out: Path, model: str, *, peace: bool = False, cold: bool = False) -> None:
         """One night, in this process."""
-        pool = LocalPool(2) if self.warm else StubPool() if peace else StubPool(work)
+        pool = LocalPool(2, warm=not cold) if self.warm else StubPool() if peace else StubPool(work)
         run_night(self.images, out, model, pool, **self.how)
 
     def cut_short(self) -> None:
@@ -153,13 +154,15 @@ class Storm:
         if self.chance.random() < NEW_DESKS:  # what analysts worked on no night replaces: on with others
             self.desks = self.chance.sample(self.names, self.n_desks)
         model = self.chance.choice(MODELS)
-        child = in_a_process(lambda: self.night(self.out, model))
+        cold = self.warm and self.chance.random() < COLD_NIGHTS
+        self.count["cold nights"] += cold
+        child = in_a_process(lambda: self.night(self.out, model, cold=cold))
         ends = time.monotonic() + self.chance.uniform(0.05, LONGEST_WARM_S if self.warm else LONGEST_S)
         while time.monotonic() < ends:
             if self.chance.random() < (0.03 if self.warm else 0.15):
                 self.analyst_comes()
             if self.warm and self.chance.random() < 0.1:
-                self.picture_ends(child)
+                self.picture_ends(child, cold=cold)
             time.sleep(0.1)
         how = self.chance.choice((signal.SIGKILL, signal.SIGTERM))
         with suppress(ProcessLookupError):
@@ -177,16 +180,16 @@ class Storm:
         self.events += 1
         self.count[what] += 1
 
-    def picture_ends(self, night: int) -> None:
-        """Kill the process of a picture, now and then the one that all are copied from."""
+    def picture_ends(self, night: int, *, cold: bool) -> None:
+        """Kill the process of a picture or its kernel, now and then the one that all are copied from."""
         with suppress(psutil.Error, IndexError):
-            server = psutil.Process(night).children()[0]
-            if self.chance.random() < 0.1:
-                server.kill()
-                self.happened("warm processes killed")
+            first = self.chance.choice(psutil.Process(night).children())
+            if self.chance.random() < (0.5 if cold else 0.1):
+                first.kill()
+                self.happened("cold pictures' processes killed" if cold else "warm processes killed")
             else:
-                self.chance.choice(server.children()).kill()
-                self.happened("pictures' processes killed")
+                self.chance.choice(first.children()).kill()
+                self.happened("kernels killed" if cold else "pictures' processes killed")
 
     def analyst_comes(self) -> None:
         name, seed = self.chance.choice(self.desks), self.chance.randrange(10**9)

@@ -9,6 +9,7 @@ import sqlite3
 import sys
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,9 +25,9 @@ from opnav_workbench.cli.terminal import Terminated, ended_by_signals
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import fitting_name
 from opnav_workbench.headless import night as night_module
-from opnav_workbench.headless.night import plan_night
+from opnav_workbench.headless.night import Night, plan_night, run_night
 from opnav_workbench.headless.night_spec import NightSpec
-from opnav_workbench.headless.night_summary import write_night_summary
+from opnav_workbench.headless.night_summary import night_summary_dict, write_night_summary
 from opnav_workbench.headless.night_workers import NotebookOutcome
 from opnav_workbench.headless.notebook_run import for_papermill
 from opnav_workbench.headless.watching import NightWatch
@@ -377,6 +378,17 @@ def test_what_stands_in_a_pictures_place_is_left_alone(images, out, tmp_path):
     assert (out / "b").read_text() == "mine"
 
 
+@pytest.mark.slow
+def test_what_comes_into_a_pictures_place_meanwhile_is_left_alone_and_not_archived(images, out):
+    def work(job, folder):
+        result_of(job, folder)
+        (out / "a").write_text("mine")
+
+    made = night(images, out, StubPool(work))
+    assert (out / "a").read_text() == "mine"
+    assert (list(made.unplaced), made.unarchived) == (["a"], [])
+
+
 def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
     """The clock was set back, or the file's time came with it from elsewhere."""
     ahead = time.time() + 1e6
@@ -390,11 +402,25 @@ def test_a_time_of_change_in_the_future_holds_nobody_up(images, out):
 def test_what_may_pass_is_tried_again(images, out, fault):
     made = night(images, out, StubPool(lambda job, folder: (fault, "no luck")), how={"time_limit_s": 10.0})
     assert made.unarchived == []
-    assert states(images, out, time_limit_s=20.0) == {"a": "new"}
+    (picture,) = plan_night(spec_of(images, time_limit_s=20.0), out).pictures
+    why = {
+        "machine": "the machine failed it: no luck",
+        "limit": "a limit is higher now than when it failed: no luck",
+    }
+    assert (picture.state, picture.why) == ("new", (why[fault],))
     with Campaign(out) as campaign:  # a machine's fault is no picture's
         assert [entry.status for entry in campaign.entries()] == ([] if fault == "machine" else ["failed"])
     if fault == "limit":
         assert states(images, out, time_limit_s=10.0) == {"a": "done"}
+
+
+@pytest.mark.slow
+def test_what_another_version_calls_a_fault_is_tried_again(images, out):
+    night(images, out)
+    record = json.loads((out / "a" / "night.json").read_text())
+    record["record"] |= {"fault": "cluster", "reason": "its node was drained"}
+    (out / "a" / "night.json").write_text(json.dumps(record))
+    assert states(images, out) == {"a": "new"}
 
 
 def test_a_picture_that_was_missing_for_a_moment_is_tried_again(images, out):
@@ -534,6 +560,28 @@ def test_a_damaged_archive_is_made_anew(images, out, damage):
     assert kept.name in made.notes[0]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["images", "provenance"])
+def test_a_page_of_the_archive_that_is_damaged_is_found_where_it_is_read(images, out, table):
+    """That of `images` as a night asks what it knows, that of `provenance` as it takes a picture in."""
+    night(images, out)
+    file = out / "campaign.sqlite"
+    with closing(sqlite3.connect(file)) as archive:
+        (size,) = archive.execute("PRAGMA page_size").fetchone()
+        (page,) = archive.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", [table]).fetchone()
+    content = bytearray(file.read_bytes())
+    content[(page - 1) * size : page * size] = b"\x55" * size
+    file.write_bytes(content)
+    (images / "b.fit").write_text("picture b")
+    made = night(images, out)
+    assert made.unarchived == []
+    with Campaign(out) as campaign:
+        assert {entry.image for entry in campaign.entries()} == {"a.fit", "b.fit"}
+    (kept,) = out.glob("campaign.sqlite.damaged-*")
+    assert kept.read_bytes() == content
+    assert kept.name in made.notes[0]
+
+
 # ---- The command
 
 
@@ -577,6 +625,9 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     status, said = run(images, out, monkeypatch, work)
     assert (status, "stopped (SIGTERM)" in said) == (143, True)
+    assert "1 ok, 0 partial, 0 failed, 1 waiting" in said
+    assert "not processed yet; run the same command again: b" in said
+    assert ("needs an analyst" in said, "opnav lab" in said) == (False, False)
     summary = json.loads((out / "summary.json").read_text())
     assert {row["name"]: row["status"] for row in summary["images"]} == {"a": "ok", "b": "waiting"}
     assert signal.getsignal(signal.SIGTERM) is before
@@ -587,6 +638,22 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert "stopped: Terminated SIGTERM" in log
     assert all(line[4] == "-" and line[19] == "Z" for line in log.splitlines())
     assert "opnav_night_pictures_processed 1\n" in (out / "night.prom").read_text()
+
+
+@pytest.mark.slow
+def test_what_a_stopped_night_has_put_into_its_place_is_done(images, out, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    stopped = Night(plan_night(spec_of(images), out))
+    monkeypatch.setattr(night_module, "_archive", stop)
+    with pytest.raises(KeyboardInterrupt):
+        run_night(stopped, StubPool())
+    (row,) = night_summary_dict(stopped)["images"]
+    assert (row["state"], row["status"]) == ("done", "ok")
+    other = Night(plan_night(spec_of(images, **OTHER), out))
+    (row,) = night_summary_dict(other)["images"]  # what stands there is of other inputs
+    assert (row["state"], row["status"]) == ("waiting", "waiting")
 
 
 class Dying:

@@ -123,6 +123,7 @@ def test_what_is_loaded_serves_as_long_as_its_contents_are_the_same(tmp_path, mo
             "a.fit", "a", str(tmp_path), "n", {"mission": "m"}, "m", 1.0, 500.0, contents=contents
         )
         assert process_picture(job.to_dict(), starter=starter)["fault"] == "machine"
+    assert list(tmp_path.rglob("result.json")) == []  # which would be the picture's
     assert used == ["one", "one", "closed", "another"]
 
 

@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, sparse
-from scipy.ndimage import map_coordinates
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
@@ -572,15 +571,34 @@ def _spread_in_plane(
     size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
     wave = np.hypot(fft.fftfreq(size, step)[:, None], fft.rfftfreq(size, step)) * TURN
     gridded = step**2 * CELL_VARIANCE + (depth[1] - depth[0]) ** 2 * LINEAR_VARIANCE
-    spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2 - gridded)
-    plane = fft.irfft2(fft.rfft2(sources, (size, size)) * spread.astype(np.complex64), (size, size))
+    spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2 - gridded) / _spline_spectrum(size)
+    planes = fft.irfft2(fft.rfft2(sources, (size, size)) * spread.astype(np.complex64), (size, size))
     middle = half + len(cells) // 2  # of the body in the spread plane
     away = np.maximum(outline.radius(angle)[:, None] + depth, 0.0) / step
-    where = [
-        middle + away * np.sin(angle)[:, None],
-        middle + away * np.cos(angle)[:, None],
-    ]
-    return np.stack([map_coordinates(p, where, order=3, mode="grid-wrap") for p in plane])
+    line, pixel = middle + away * np.sin(angle)[:, None], middle + away * np.cos(angle)[:, None]
+    looked_up = _spline_lookup(line.ravel(), pixel.ravel(), size) @ planes.reshape(len(planes), -1).T
+    return np.asarray(looked_up.T.reshape(len(planes), *away.shape))
+
+
+def _spline_spectrum(size: int) -> FloatArray:
+    """Return the spectrum (size, size // 2 + 1) of what a cubic spline makes of its coefficients at their places.
+
+    Divided by it, a periodic plane's spectrum is that of its coefficients (Unser 1999, doi:10.1109/79.799930).
+    """
+    line, pixel = ((2.0 + np.cos(TURN * f)) / 3.0 for f in (fft.fftfreq(size), fft.rfftfreq(size)))
+    return np.asarray(line[:, None] * pixel)
+
+
+def _spline_lookup(line: FloatArray, pixel: FloatArray, size: int) -> sparse.csr_array:
+    """Return what places (m,) take from the coefficients (size size) of periodic planes: one look-up for all of them."""
+    i, j = np.floor(line).astype(np.int64), np.floor(pixel).astype(np.int64)
+    down, along = np.stack(spline_weights(line - i)), np.stack(spline_weights(pixel - j))
+    taps = np.arange(-1, 3)[:, None]
+    index = ((i + taps) % size * size)[:, None] + ((j + taps) % size)[None]
+    ends = np.arange(len(i) + 1) * index[:, :, 0].size
+    weight = down[:, None] * along[None]
+    places = (weight.transpose(2, 0, 1).ravel(), index.transpose(2, 0, 1).ravel(), ends)
+    return sparse.csr_array(places, shape=(len(i), size * size))
 
 
 def _widened(total: FloatArray, step: float, scale_px: float) -> FloatArray:
