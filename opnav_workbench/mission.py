@@ -203,8 +203,8 @@ class TargetSurface(StrictModel):
         Root mean square of the topography as a part of the mean radius: by default 0.003, as of the small round moons of
         Saturn; larger moons are smoother, small asteroids rougher by far.
     albedo_sigma
-        1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2, with an albedo map 0.05.
-        It makes most of the uncertainty of a center of a few pixels.
+        1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2 or a part of that, as a
+        picture of the disk has it; with an albedo map 0.05. It makes most of the uncertainty of a center of a few pixels.
     law_sigma
         1 sigma of how far the scattering law may lie from `law` toward Lommel-Seeliger's, as a part of the way from
         Lambert's to it: by default 0.3; without a law it lies anywhere between both.

@@ -26,7 +26,7 @@ PATTERN_PX = 0.25  # map cells are averaged up to this size: the spacing of rays
 COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 
-UNSTATED_SIZE, UNSTATED_AXES = 0.10, 0.05  # of a first approach
+UNSTATED_SIZE, UNSTATED_AXES, UNSTATED_ALBEDO = 0.10, 0.05, 0.2  # of a first approach
 LARGEST_SIGMA = 0.9  # what a part of a radius can be uncertain by
 # Even in the logarithm, down to 0.08 and 0.04 %: as well as spacecraft that passed by have measured large bodies
 # (Archinal et al. 2018, doi:10.1007/s10569-017-9805-5: 0.07 % for Pluto, 0.08 % for Rhea).
@@ -39,8 +39,8 @@ class FigureUncertainty:
 
     The defaults suit a first approach, where size and shape come from brightness and light curves. Of size and axes they say
     that nobody has stated how well they are known: then smaller scales, down to those of a figure that was measured before,
-    are held to be as likely, and a picture of the disk weighs them (`size_scales`, `axes_scales`). What is stated is
-    believed as it is.
+    are held to be as likely, and a picture of the disk weighs them (`size_scales`, `axes_scales`); so it does with what
+    hemispheres differ by (`albedo_scales`). What is stated is believed as it is.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class FigureUncertainty:
     size_sigma: float = UNSTATED_SIZE
     axes_sigma: float = UNSTATED_AXES
     limb_roughness: float = 0.003
-    albedo_sigma: float = 0.2
+    albedo_sigma: float = UNSTATED_ALBEDO
     law_sigma: float | None = None
 
     def __post_init__(self) -> None:
@@ -87,6 +87,11 @@ class FigureUncertainty:
     def axes_scales(self) -> tuple[float, ...]:
         """Sigmas that the axes may have, the largest first; one if it is stated."""
         return _scales(self.axes_sigma, UNSTATED_AXES)
+
+    @property
+    def albedo_scales(self) -> tuple[float, ...]:
+        """Sigmas that hemispheres may differ by, the largest first; one if it is stated."""
+        return _scales(self.albedo_sigma, UNSTATED_ALBEDO)
 
 
 def _scales(sigma: float, unstated: float) -> tuple[float, ...]:

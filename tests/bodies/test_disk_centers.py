@@ -8,7 +8,7 @@ from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, r
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk
-from opnav_workbench.bodies.disk.fit import CENTER
+from opnav_workbench.bodies.disk.fit import CENTER, tuned
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.disk.marginal import FieldPrior
 from opnav_workbench.bodies.disk.measurement import likelier, measure_disk
@@ -128,6 +128,38 @@ def test_noise_of_a_center_is_what_other_noise_moves_it_by(body_stage):
     assert np.sqrt(ratios.max()) < 1.3
     whole = system.solve(prior).covariance[np.ix_(CENTER, CENTER)]
     assert np.linalg.eigvals(np.linalg.solve(whole, noise)).real.max() < 0.5
+
+
+@pytest.mark.slow
+def test_a_picture_tells_what_hemispheres_differ_by(body_stage):
+    """An even disk is known better than one whose hemispheres may differ; where they do, they are let differ."""
+    place, law = np.array([500.3, 480.7]), LunarLambert(0.5)
+    even = body_stage.body(60.0, 15.0, place, law=law)
+    stated = body_stage.body(60.0, 15.0, place, law=law, figure=FigureUncertainty(albedo_sigma=0.199))
+    light = body_stage.light(even)
+    fits = [
+        measure_disk(
+            body_stage.picture(light, [body], np.random.default_rng(2)), "BODY", "auto", None, None
+        ).fit
+        for body in (even, stated)
+    ]
+    areas = [np.sqrt(np.linalg.det(fit.covariance_px2)) for fit in fits]
+    assert areas[0] < 0.6 * areas[1]
+    off = fits[0].center_px - place
+    assert off @ np.linalg.solve(fits[0].covariance_px2, off) < 9.0
+    assert fits[1].prior.hemispheres == 1.0
+    system = fits[0].system
+    nodes = np.random.default_rng(4).multivariate_normal(
+        np.zeros(len(system.broad)), system.broad, method="eigh"
+    )
+    nodes = system.brightness_dn * nodes.reshape(len(system.data), -1)
+    apart = replace(system, data=system.data + np.einsum("jk,kjc->jc", nodes, system.own[:-1]))
+    wide = replace(fits[0].prior, albedo=0.15, hemispheres=1.0)
+    found = [
+        tuned(one, wide, wide.rough_px, (1.2, 1.0, 0.6), 0.008).prior.hemispheres for one in (system, apart)
+    ]
+    assert found[0] < 0.05
+    assert found[1] > 0.3
 
 
 @pytest.mark.slow

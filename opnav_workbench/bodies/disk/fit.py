@@ -430,6 +430,7 @@ class _DiskProblem:
         self.broad = self.figure.albedo_sigma**2 * np.exp((np.cos(self.chord) - 1.0) / BROAD_RAD**2)
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
+        self.hemispheres = np.array(self.figure.albedo_scales) / self.figure.albedo_sigma
 
     def samples(self, outline: Outline) -> LimbSamples:
         """Return the pixels about an outline, gathered in squares where its light is smooth."""
@@ -640,7 +641,7 @@ class _Fitter:
             brightness_dn=self.brightness,
             prior=self.prior,
             system=self.linear.system,
-            solution=self.linear.solution,
+            solution=self._over_hemispheres(),
             pixels=near,
             columns=columns,
             piece_albedo=self.piece_albedo,
@@ -711,12 +712,12 @@ class _Fitter:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         before = self.linear.solution.log_likelihood
         self._doubt()
-        best, system = tuned(self.linear.system, self.prior, self.problem.rough_px, steps), self.linear.system
+        best, system = self._tuned(steps), self.linear.system
         uneven = max(best.prior.albedo, best.prior.grain) > EVEN  # else there is nothing to explain
         if other_light and uneven:
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
             self._solve()
-            other = tuned(self.linear.system, self.prior, self.problem.rough_px, steps)
+            other = self._tuned(steps)
             if other.cost < best.cost:
                 best, system = other, self.linear.system
             else:
@@ -724,6 +725,24 @@ class _Fitter:
         self.prior = best.prior
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
         self.likelihood += self.linear.solution.log_likelihood - before
+
+    def _tuned(self, steps: tuple[float, ...]) -> "TunedPrior":
+        problem = self.problem
+        return tuned(
+            self.linear.system, self.prior, problem.rough_px, steps, float(problem.hemispheres.min())
+        )
+
+    def _over_hemispheres(self) -> MarginalSolution:
+        """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""
+        solution, system = self.linear.solution, self.linear.system
+        if len(self.problem.hemispheres) == 1:
+            return solution
+        each = [system.solve(replace(self.prior, hemispheres=float(h))) for h in self.problem.hemispheres]
+        weight = np.array([one.log_likelihood for one in each])
+        weight = np.exp(weight - weight.max())
+        away = np.array([one.theta for one in each]) - solution.theta
+        whole = np.array([one.covariance for one in each]) + away[:, :, None] * away[:, None, :]
+        return replace(solution, covariance=np.tensordot(weight / weight.sum(), whole, axes=1))
 
     def _patchiness(self, celled: _CelledSamples, columns: FloatArray) -> FloatArray:
         """Return the variance (j,) of the albedo within pieces of limb, by pixels beside it about the means of cells.
@@ -1029,7 +1048,7 @@ class _Fitter:
 # ---- Hyperparameters: what the data speak for, within what surfaces are like.
 
 USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
-VARIETY = np.array([1.5, 0.8, 1.5, 1.2])
+VARIETY = np.array([1.5, 0.8, 1.5, 1.2, np.inf])
 WIDEST = 3.0
 # No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
 LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
@@ -1042,15 +1061,26 @@ class TunedPrior(NamedTuple):
     cost: float
 
 
-def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, steps: tuple[float, ...]) -> TunedPrior:
-    """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on."""
-    usual = np.append(USUAL, np.log(rough_px))
+def tuned(
+    system: LimbSystem,
+    start: FieldPrior,
+    rough_px: float,
+    steps: tuple[float, ...],
+    least_hemispheres: float = 1.0,
+) -> TunedPrior:
+    """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on.
+
+    `FieldPrior.hemispheres` lies between the least and 1, every doubling as likely.
+    """
+    usual = np.append(USUAL, [np.log(rough_px), 0.0])
+    flattest = np.log(least_hemispheres)
     cells = system.weighed(start.grain)
 
     def cost(x: FloatArray) -> float:
         nonlocal cells
         away = (x - usual) / VARIETY
-        if np.any(np.abs(away) > WIDEST) or np.any(x[:3] < LEAST) or np.any(x[:3] > MOST):
+        beyond = np.any(np.abs(away) > WIDEST) or np.any(x[:3] < LEAST) or np.any(x[:3] > MOST)
+        if beyond or not flattest <= x[4] <= 0.0:
             return 1e12
         prior = FieldPrior.from_logarithms(x)
         if prior.grain != cells.grain:

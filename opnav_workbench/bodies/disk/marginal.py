@@ -40,6 +40,8 @@ class FieldPrior:
     on_slopes
         Whether the albedo is relative to the light of slopes that face the Sun: terrain shines where a smooth body has no
         light.
+    hemispheres
+        What whole hemispheres differ by over what they may: over the standard deviation of `LimbSystem.broad`.
     """
 
     albedo: float
@@ -47,16 +49,17 @@ class FieldPrior:
     grain: float
     rough_px: float
     on_slopes: bool = False
+    hemispheres: float = 1.0
 
     def logarithms(self) -> FloatArray:
-        """Return the logarithms (4,)."""
-        return np.log([self.albedo, self.length_rad, self.grain, self.rough_px])
+        """Return the logarithms (5,)."""
+        return np.log([self.albedo, self.length_rad, self.grain, self.rough_px, self.hemispheres])
 
     @classmethod
     def from_logarithms(cls, values: FloatArray, *, on_slopes: bool = False) -> "FieldPrior":
-        """Return the prior of logarithms (4,)."""
-        albedo, length, grain, rough = (float(v) for v in np.exp(values))
-        return cls(albedo, length, grain, rough, on_slopes)
+        """Return the prior of logarithms (5,)."""
+        albedo, length, grain, rough, hemispheres = (float(v) for v in np.exp(values))
+        return cls(albedo, length, grain, rough, on_slopes, hemispheres)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +156,7 @@ class LimbSystem:
     scales : (k, p) array
         Precisions about 0 that stand beside `prior_precision`, one row for each scale of the figure.
     chord, broad : (j (q - 1), j (q - 1)) arrays
-        Distance of the albedo's nodes on the body, rad; relative covariance of what whole hemispheres differ by.
+        Distance of the albedo's nodes on the body, rad; relative covariance of what whole hemispheres differ by at most.
     turn : (j, j) array
         Angle between pieces of limb about the center, rad.
     brightness_dn
@@ -187,7 +190,7 @@ class LimbSystem:
         """Return K in the order piece, node."""
         j, q = self.data.shape[0], len(self.own)
         albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
-        albedo += self.brightness_dn**2 * self.broad
+        albedo += (prior.hemispheres * self.brightness_dn) ** 2 * self.broad
         hidden = prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad)
         rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad) + hidden
         whole = np.zeros((j, q, j, q))
