@@ -68,6 +68,7 @@ def check_trials(result, lowest, highest, bias_px=0.005):
     assert np.abs(error.mean(axis=0)).max() < bias_px
 
 
+@pytest.mark.slow
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
     true = np.array([127.31, 126.84])
     model = binned_stage.body(6.0, 75.0, true, TRIAXIAL)

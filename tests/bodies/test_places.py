@@ -20,6 +20,7 @@ from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
 TRUE = np.array([511.3, 511.8])
 
 
+@pytest.mark.slow(keep=["law1"])
 @pytest.mark.parametrize("law", [Lambert(), LunarLambert(0.5)])
 def test_neither_albedo_nor_law_moves_a_place(body_stage, law):
     """One half twice as bright as the other, under a law that the model does not have: 0.6 to 1.1 px off without."""
@@ -72,6 +73,7 @@ def test_saturation_is_an_unknown_of_a_place(body_stage):
     assert np.hypot(*(place.center_px - TRUE)) < 3.0 * place.center_sigma_px
 
 
+@pytest.mark.slow(keep=["1.08-False"])
 @pytest.mark.parametrize(("truth_share", "confirmed"), [(1.0, True), (1.08, False)])
 def test_full_disk_center_beside_the_likelihood(body_stage, truth_share, confirmed):
     """A body 8 % larger than expected, half lit: least squares alone is off by many of its sigmas, and ``ok``."""

@@ -67,6 +67,7 @@ def test_a_fit_that_wanders_within_its_sigma_is_settled_where_the_crossings_conf
     assert judged_disk(moved(disk, [9.0, 0.0], converged=False)).flags & BodyFlag.NOT_CONVERGED
 
 
+@pytest.mark.slow
 def test_a_rough_sky_beside_a_body_does_not_judge_its_image():
     """A converter has left waves in the sky: chi-squared of all cells is poor, that of the image is not."""
     trial = make_trial(TrialSetup(8, 120.0, 40.0))

@@ -38,6 +38,7 @@ def trials(make_sky, count, *, geometries=10, **options):
             yield _fitted(box, truth + rng.uniform(-0.3, 0.3, 2)), truth
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_their_sigmas(make_sky, sample):
     """500 stacks of undersampled pictures at random phases: error over sigma 0.9 to 1.1, bias below 0.1 sigma."""
     errors, fluxes, chi2, flux = [], [], [], 35.0

@@ -31,6 +31,7 @@ def words_of_error(capsys, monkeypatch, *arguments):
     return capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_camera_from_one_wide_frame(demo_truths, tmp_path):
     """The MVIC demo picture was simulated with the camera of the file: nothing may move significantly."""
     picture, out = demo_truths[1].picture, tmp_path / "out"

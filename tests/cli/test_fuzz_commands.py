@@ -28,7 +28,7 @@ from stand_ins import stand_in, write_manifest
 
 BINARY = (".fit", ".npz", ".sqlite", ".bsp")
 LONGEST_ERROR = 2100
-LONG = ("process", "night", "check what was written")
+LONG = ("process", "night", "check what was written", "check", "calibrate camera", "export tdm")
 BORESIGHT = (0.0, 0.0, -1.0)  # of LORRI
 FARTHEST_RAD = 6e-4  # of a right pointing from the truth: 2 arcmin, aberration with the wrong velocity; a false one is far
 

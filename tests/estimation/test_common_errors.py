@@ -90,6 +90,7 @@ def test_outliers_are_those_of_the_batch(pictures, displaced):
     np.testing.assert_allclose(found.correction, rest.correction, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_filter_in_the_batchs_place(approach, pictures, displaced):
     """Without noise it is the batch; noise of pointing that each picture has for itself is that of its attitude.
 

@@ -162,7 +162,7 @@ def test_the_text_of_an_ecsv_holds_the_table_whatever_its_names(observables):
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1, max_size=200)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(WORDS, WORDS, st.lists(st.floats(), min_size=4, max_size=4))
 @example("\t", "a\rb", [0.0, 0.0, 0.0, 0.0])
 @example("a b.fit", 'it\'s "far" off: #2, \u00e9 ' * 12, [0.1, 1e300, -0.0, np.nan])

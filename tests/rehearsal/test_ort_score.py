@@ -325,6 +325,7 @@ def test_log_of_reveals(tmp_path):
     assert len(log_path(key).read_text().splitlines()) == 2
 
 
+@pytest.mark.slow
 def test_page_of_a_solution_without_history_and_with(tmp_path):
     residual = {
         "image": "a.fit",
