@@ -617,10 +617,15 @@ class _Fitter:
         for steps in self.tuning:
             self._tune(steps, other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
+        tabled = self._state()
         for turn in range(MOST_FINE):
             light = self.made.light
-            if (not light.fine or self._stale(LAST)) and not self._tabulate(fine=True) and light.fine:
-                break  # no other light explains more
+            if not light.fine or self._stale(LAST):
+                went_px = self.shape.center_px
+                if not self._tabulate(fine=True) and light.fine:
+                    self._go_back(tabled, went_px)
+                    break  # no other light explains more
+                tabled = self._state()
             if turn < MOST_TUNED:
                 self._tune(LAST_TUNING, other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
@@ -879,6 +884,12 @@ class _Fitter:
     def _return_to(self, state: _FitState) -> None:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
         self.celled = self.linear.celled
+
+    def _go_back(self, state: _FitState, went_px: FloatArray) -> None:
+        """Go back to where tables were made, from where light that they are extrapolated to led, and no tables are."""
+        self._return_to(state)
+        self._solve()
+        self.wandered_px = state.shape.center_px - went_px
 
     def _held(self) -> dict[int, float]:
         """Return the outline as it is, in terms of theta."""
