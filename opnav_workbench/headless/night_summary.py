@@ -87,6 +87,7 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
             *night.notes,
             *_told_once(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
             *_touched_files(night.touched),
+            *_copies(night.plan.pictures),
         ],
         "images": images,
     }
@@ -111,6 +112,17 @@ def _touched_files(touched: Mapping[str, int]) -> Iterator[str]:
             f"{some_of(same)} {were} written to or taken away while the night ran: pictures processed with {them} "
             f"({count}) are done again next time"
         )
+
+
+def _copies(pictures: Iterable[NightPicture]) -> Iterator[str]:
+    """Tell of files with the same content: a picture's observables count once, however often it was delivered."""
+    names: dict[str, list[str]] = {}
+    for picture in pictures:
+        if picture.basis.image_sha256:
+            names.setdefault(picture.basis.image_sha256, []).append(picture.name)
+    for same in names.values():
+        if len(same) > 1:
+            yield f"{some_of(same)} are one picture (the same content): the archive, and what is exported, hold it once"
 
 
 def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict[str, Any]:

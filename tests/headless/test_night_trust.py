@@ -656,6 +656,17 @@ def test_what_a_stopped_night_has_put_into_its_place_is_done(images, out, monkey
     assert (row["state"], row["status"]) == ("waiting", "waiting")
 
 
+@pytest.mark.slow
+def test_a_picture_that_was_delivered_twice_counts_once_and_is_told(images, out):
+    (images / "again.fit").write_text("picture a")
+    (images / "b.fit").write_text("picture b")
+    for _ in range(2):
+        summary = write_night_summary(night(images, out))
+        assert [note.partition(" (")[0] for note in summary["notes"]] == ["a, again are one picture"]
+    with Campaign(out) as campaign:
+        assert len(campaign.entries()) == 2
+
+
 class Dying:
     """Its end comes while garbage is collected: Python swallows what is raised there."""
 
