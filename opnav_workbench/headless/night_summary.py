@@ -19,7 +19,7 @@ from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, wri
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["NOT_PROCESSED", "night_summary_dict", "write_night_summary"]
+__all__ = ["NOT_PROCESSED", "night_summary_dict", "not_archived", "write_night_summary"]
 
 FIGURE_FILE = "summary.png"
 POINTING_KEYS = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
@@ -61,10 +61,10 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived, notes,
-        images``; an image has ``name, path, state, status, utc, messages, attention, why, pointing, bodies, seconds,
-        peak_mb, tries`` and the names of its files. ``failed_now`` counts the pictures of this night that failed, whether an
-        older result of theirs stands or not.
+        ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived_now,
+        not_archived, notes, images``; an image has ``name, path, state, status, utc, messages, attention, why, pointing,
+        bodies, seconds, peak_mb, tries`` and the names of its files. ``failed_now`` counts the pictures of this night that
+        failed, whether an older result of theirs stands or not; ``not_archived_now`` those that the archive did not take.
     """
     spec = night.plan.spec
     now = {verdict.name: verdict for verdict in night.verdicts}
@@ -82,7 +82,8 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         "counts": dict(Counter(row["status"] for row in images)),
         "processed_now": len(now),
         "failed_now": len(failed),
-        "not_archived": _told_once(night.unarchived),
+        "not_archived_now": len({line.partition(": ")[0] for line in night.unarchived} & now.keys()),
+        "not_archived": not_archived(night),
         "notes": [
             *night.notes,
             *_told_once(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
@@ -91,6 +92,11 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         ],
         "images": images,
     }
+
+
+def not_archived(night: Night) -> list[str]:
+    """Return what is not in the archive and why, pictures with the same reason in one line."""
+    return _told_once(night.unarchived)
 
 
 def _told_once(told: Iterable[str]) -> list[str]:

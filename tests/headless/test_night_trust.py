@@ -614,6 +614,23 @@ def test_exit_status_speaks_of_this_night(images, out, monkeypatch):
     assert "1 failed" in said
 
 
+@pytest.mark.slow
+def test_an_archive_that_takes_nothing_is_heard_of(images, out, monkeypatch):
+    def refuse(*_):
+        raise SessionError("a read-only disk")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Campaign, "ingest_run", refuse)
+        assert run(images, out, monkeypatch, result_of)[0] == 3
+        assert "WARNING not in the archive: a: a read-only disk" in (out / "night.log").read_text()
+        assert (
+            run(images, out, monkeypatch, result_of)[0] == 0
+        )  # what an earlier night has done is not this one's
+    assert run(images, out, monkeypatch, result_of)[0] == 0
+    with Campaign(out) as campaign:
+        assert [entry.image for entry in campaign.entries()] == ["a.fit"]
+
+
 def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     (images / "b.fit").write_text("picture b")
 
