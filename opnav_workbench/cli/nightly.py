@@ -27,7 +27,7 @@ from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, named_progress, shown
 from opnav_workbench.errors import SessionError, some_of
-from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
+from opnav_workbench.headless.night import Night, NightPlan, check_place, plan_night, run_night
 from opnav_workbench.headless.night_pages import SUMMARY_FILE, SUMMARY_PAGE
 from opnav_workbench.headless.night_psf import MAX_PICTURES, learn_night_psf
 from opnav_workbench.headless.night_spec import NightSpec, load_night
@@ -184,6 +184,7 @@ def nightly(
 
 def _learned_and_planned(console: Console, spec: NightSpec, out: Path, **choice: Any) -> NightPlan:
     """Plan a night that has learned the PSF of its undersampled cameras, where it can."""
+    check_place(out)  # before anything is written there
     with named_progress(console, MAX_PICTURES) as say:
         learned = learn_night_psf(spec, out, say)
     for one in learned:

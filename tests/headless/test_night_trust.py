@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign, database
@@ -612,6 +613,16 @@ def test_exit_status_speaks_of_this_night(images, out, monkeypatch):
     status, said = run(images, out, monkeypatch, failed)
     assert (status, "0 of 1 pictures to process (1 done before)" in said) == (0, True)
     assert "1 failed" in said
+
+
+@pytest.mark.slow
+def test_a_night_is_not_put_into_a_pictures_folder(images, out):
+    night(images, out)
+    before = sorted(path.name for path in (out / "a").iterdir())
+    with pytest.raises(SessionError, match="give that of the night") as refused:
+        nightly._learned_and_planned(Console(), spec_of(images), out / "a")
+    assert str(refused.value).endswith(f"as {out}.")
+    assert sorted(path.name for path in (out / "a").iterdir()) == before
 
 
 @pytest.mark.slow
