@@ -369,7 +369,7 @@ def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> N
     left = [row["name"] for row in summary["images"] if row["state"] == "waiting"]
     if left:
         console.print(f"[yellow]{NOT_PROCESSED}:[/] {shown(some_of(left))}", highlight=False)
-    causes = report.night_causes([row for row in summary["images"] if row["state"] != "waiting"])
+    causes = report.night_causes(summary["images"])
     for cause in causes[:SHOWN]:
         row, count = cause.rows[0], len(cause.rows)
         others = f" and {count - 1} more like it" if count > 1 else ""

@@ -46,12 +46,12 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     out, spec = night.plan.out, night.plan.spec
     summary = night_summary_dict(night) | {"trends": write_night_trends(night.archive, out)}
     write_pages(summary, out)
-    waiting = tuple(
+    flagged = tuple(
         QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
         for row in summary["images"]
-        if row["attention"] and row["state"] != "waiting"
+        if row["attention"]
     )
-    write_queue(out, AnalystQueue(waiting, spec.plain))
+    write_queue(out, AnalystQueue(flagged, spec.plain))
     return summary
 
 
@@ -143,6 +143,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
     attention = attention_reasons(
         result["status"], result["messages"], [(b["name"], b["status"]) for b in bodies]
     )
+    attention = attention if state != "waiting" else ()  # there is nothing yet that a person could look at
     return {
         "name": picture.name,
         "path": str(picture.image),

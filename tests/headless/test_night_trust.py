@@ -658,6 +658,8 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert ("needs an analyst" in said, "opnav lab" in said) == (False, False)
     summary = json.loads((out / "summary.json").read_text())
     assert {row["name"]: row["status"] for row in summary["images"]} == {"a": "ok", "b": "waiting"}
+    assert [row["attention"] for row in summary["images"]] == [[], []]
+    assert "Nothing so far; what is not processed yet waits" in (out / "summary.html").read_text()
     assert signal.getsignal(signal.SIGTERM) is before
     how = json.loads((out / "status.json").read_text())
     assert (how["state"], how["pictures"]["left"]) == ("stopped", 1)
