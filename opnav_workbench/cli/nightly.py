@@ -27,11 +27,16 @@ from opnav_workbench import report
 from opnav_workbench.cli.processing_options import processing_of, processing_options, with_options
 from opnav_workbench.cli.terminal import EXIT_PARTLY, EXIT_STOPPED, ended_by_signals, named_progress, shown
 from opnav_workbench.errors import SessionError, some_of
-from opnav_workbench.headless.night import Night, NightPlan, plan_night, run_night
+from opnav_workbench.headless.night import Night, NightPlan, check_place, plan_night, run_night
 from opnav_workbench.headless.night_pages import SUMMARY_FILE, SUMMARY_PAGE
 from opnav_workbench.headless.night_psf import MAX_PICTURES, learn_night_psf
 from opnav_workbench.headless.night_spec import NightSpec, load_night
-from opnav_workbench.headless.night_summary import NOT_PROCESSED, night_summary_dict, write_night_summary
+from opnav_workbench.headless.night_summary import (
+    NOT_PROCESSED,
+    night_summary_dict,
+    not_archived,
+    write_night_summary,
+)
 from opnav_workbench.headless.night_workers import ClusterPool, LocalPool, NightPool, NotebookOutcome
 from opnav_workbench.headless.watching import NightWatch
 from opnav_workbench.image.picture_files import NoPictures
@@ -140,8 +145,8 @@ def nightly(
     While it runs, OUT has night.log, status.json and night.prom (Prometheus); without a terminal a line a minute tells
     how it goes.
 
-    Exit status: 0 all pictures processed now are solved, 2 bad input, 3 some of them failed (the others are kept), 130 or
-    143 stopped by Ctrl-C or SIGTERM (what is finished is kept, and in the summary).
+    Exit status: 0 all pictures processed now are solved, 2 bad input, 3 some of them failed or could not be archived (the
+    others are kept), 130 or 143 stopped by Ctrl-C or SIGTERM (what is finished is kept, and in the summary).
     """
     how = {"pages": pages} if pages else {}
     spec = _night_spec(sources, given).changed("options", **how | ({"warm": False} if cold else {}))
@@ -179,6 +184,7 @@ def nightly(
 
 def _learned_and_planned(console: Console, spec: NightSpec, out: Path, **choice: Any) -> NightPlan:
     """Plan a night that has learned the PSF of its undersampled cameras, where it can."""
+    check_place(out)  # before anything is written there
     with named_progress(console, MAX_PICTURES) as say:
         learned = learn_night_psf(spec, out, say)
     for one in learned:
@@ -210,7 +216,8 @@ def _whole_night(
     _print_summary(Console(soft_wrap=True), summary, plan.out)
     if notify and summary["processed_now"]:
         _notify(console, notify, plan.out / SUMMARY_FILE)
-    return stopped or (EXIT_PARTLY if summary["failed_now"] else 0)
+    wanting = summary["failed_now"] or summary["not_archived_now"]
+    return stopped or (EXIT_PARTLY if wanting else 0)
 
 
 def _notify(console: Console, command: str, summary: Path) -> None:
@@ -336,6 +343,8 @@ def _run_plan(
             try:
                 with watch:
                     run_night(night, pool, archive=archive, say=say, begun=watch.begin)
+                    for line in not_archived(night):
+                        watch.note(f"not in the archive: {line}")
             except KeyboardInterrupt as stop:
                 status = getattr(stop, "status", EXIT_STOPPED)
                 console.print(
@@ -360,7 +369,7 @@ def _print_summary(console: Console, summary: Mapping[str, Any], out: Path) -> N
     left = [row["name"] for row in summary["images"] if row["state"] == "waiting"]
     if left:
         console.print(f"[yellow]{NOT_PROCESSED}:[/] {shown(some_of(left))}", highlight=False)
-    causes = report.night_causes([row for row in summary["images"] if row["state"] != "waiting"])
+    causes = report.night_causes(summary["images"])
     for cause in causes[:SHOWN]:
         row, count = cause.rows[0], len(cause.rows)
         others = f" and {count - 1} more like it" if count > 1 else ""

@@ -51,7 +51,7 @@ from opnav_workbench.headless.settling import settle, tidy_attic
 from opnav_workbench.image.formats.sidecar import find_sidecar
 from opnav_workbench.image.picture_files import FolderOwner, picture_names
 from opnav_workbench.mission import Mission
-from opnav_workbench.paths import is_text
+from opnav_workbench.paths import is_file, is_text
 from opnav_workbench.processing import notebook_parameters
 from opnav_workbench.processing.pictures import failed_result
 from opnav_workbench.resources import notebooks_dir
@@ -59,7 +59,7 @@ from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.session.folder_lock import FolderInUse, FolderLock, check_unlocked
 from opnav_workbench.session.storage import session_owner
 
-__all__ = ["Night", "NightChoice", "NightPicture", "NightPlan", "plan_night", "run_night"]
+__all__ = ["Night", "NightChoice", "NightPicture", "NightPlan", "check_place", "plan_night", "run_night"]
 
 
 NOTEBOOK = "process_image.ipynb"
@@ -185,8 +185,10 @@ def plan_night(
     Raises
     ------
     OpNavError
-        A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures.
+        A mission, catalog, kernel set, decisions file or notebook is not what it should be; no pictures; `out` is a
+        picture's.
     """
+    check_place(out)
     # Fields may have been set unchecked; mission, catalog and decisions are read.
     spec = with_kept_psf(spec.changed("night"), out)
     mission = spec.opened().mission
@@ -209,6 +211,21 @@ def plan_night(
 def _shown_name(name: str) -> str:
     """Return the name of a picture's folder as a log, a page and an archive can show it, not longer than a name may be."""
     return fitting_name(plain_line(name))
+
+
+def check_place(out: str | Path) -> None:
+    """Refuse a folder that is a picture's: of another night, or of ``opnav process``.
+
+    Raises
+    ------
+    SessionError
+        It is one; the folder around it is named.
+    """
+    folder = Path(out)
+    if is_file(folder / RESULT_FILE) or is_file(folder / RECORD_FILE):
+        raise SessionError(
+            f"{folder} is the folder of a picture; give that of the night, as {folder.absolute().parent}."
+        )
 
 
 def _folder_owner(out: Path, name: str) -> FolderOwner | None:

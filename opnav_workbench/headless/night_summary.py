@@ -19,7 +19,7 @@ from opnav_workbench.processing.queue_file import AnalystQueue, QueuedImage, wri
 from opnav_workbench.session import RESULT_FILE
 from opnav_workbench.version import __version__
 
-__all__ = ["NOT_PROCESSED", "night_summary_dict", "write_night_summary"]
+__all__ = ["NOT_PROCESSED", "night_summary_dict", "not_archived", "write_night_summary"]
 
 FIGURE_FILE = "summary.png"
 POINTING_KEYS = ("delta_pixel", "delta_line", "delta_twist_deg", "rms_px", "n_stars")
@@ -46,12 +46,12 @@ def write_night_summary(night: Night) -> dict[str, Any]:
     out, spec = night.plan.out, night.plan.spec
     summary = night_summary_dict(night) | {"trends": write_night_trends(night.archive, out)}
     write_pages(summary, out)
-    waiting = tuple(
+    flagged = tuple(
         QueuedImage(row["path"], row["name"], row["status"], tuple(row["attention"]))
         for row in summary["images"]
-        if row["attention"] and row["state"] != "waiting"
+        if row["attention"]
     )
-    write_queue(out, AnalystQueue(waiting, spec.plain))
+    write_queue(out, AnalystQueue(flagged, spec.plain))
     return summary
 
 
@@ -61,10 +61,10 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived, notes,
-        images``; an image has ``name, path, state, status, utc, messages, attention, why, pointing, bodies, seconds,
-        peak_mb, tries`` and the names of its files. ``failed_now`` counts the pictures of this night that failed, whether an
-        older result of theirs stands or not.
+        ``version, written_utc, mission, kernels, catalog, targets, counts, processed_now, failed_now, not_archived_now,
+        not_archived, notes, images``; an image has ``name, path, state, status, utc, messages, attention, why, pointing,
+        bodies, seconds, peak_mb, tries`` and the names of its files. ``failed_now`` counts the pictures of this night that
+        failed, whether an older result of theirs stands or not; ``not_archived_now`` those that the archive did not take.
     """
     spec = night.plan.spec
     now = {verdict.name: verdict for verdict in night.verdicts}
@@ -82,14 +82,21 @@ def night_summary_dict(night: Night) -> dict[str, Any]:
         "counts": dict(Counter(row["status"] for row in images)),
         "processed_now": len(now),
         "failed_now": len(failed),
-        "not_archived": _told_once(night.unarchived),
+        "not_archived_now": len({line.partition(": ")[0] for line in night.unarchived} & now.keys()),
+        "not_archived": not_archived(night),
         "notes": [
             *night.notes,
             *_told_once(f"{n}: {why}" for n, why in (night.unplaced | night.outlived).items()),
             *_touched_files(night.touched),
+            *_copies(night.plan.pictures),
         ],
         "images": images,
     }
+
+
+def not_archived(night: Night) -> list[str]:
+    """Return what is not in the archive and why, pictures with the same reason in one line."""
+    return _told_once(night.unarchived)
 
 
 def _told_once(told: Iterable[str]) -> list[str]:
@@ -113,6 +120,17 @@ def _touched_files(touched: Mapping[str, int]) -> Iterator[str]:
         )
 
 
+def _copies(pictures: Iterable[NightPicture]) -> Iterator[str]:
+    """Tell of files with the same content: a picture's observables count once, however often it was delivered."""
+    names: dict[str, list[str]] = {}
+    for picture in pictures:
+        if picture.basis.image_sha256:
+            names.setdefault(picture.basis.image_sha256, []).append(picture.name)
+    for same in names.values():
+        if len(same) > 1:
+            yield f"{some_of(same)} are one picture (the same content): the archive, and what is exported, hold it once"
+
+
 def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict[str, Any]:
     folder = inside(night.plan.out, picture.name)
     record = read_record(folder)
@@ -125,6 +143,7 @@ def _image_row(night: Night, picture: NightPicture, processed_now: bool) -> dict
     attention = attention_reasons(
         result["status"], result["messages"], [(b["name"], b["status"]) for b in bodies]
     )
+    attention = attention if state != "waiting" else ()  # there is nothing yet that a person could look at
     return {
         "name": picture.name,
         "path": str(picture.image),

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 from opnav_workbench.campaign import Campaign, database
@@ -614,6 +615,33 @@ def test_exit_status_speaks_of_this_night(images, out, monkeypatch):
     assert "1 failed" in said
 
 
+@pytest.mark.slow
+def test_a_night_is_not_put_into_a_pictures_folder(images, out):
+    night(images, out)
+    before = sorted(path.name for path in (out / "a").iterdir())
+    with pytest.raises(SessionError, match="give that of the night") as refused:
+        nightly._learned_and_planned(Console(), spec_of(images), out / "a")
+    assert str(refused.value).endswith(f"as {out}.")
+    assert sorted(path.name for path in (out / "a").iterdir()) == before
+
+
+@pytest.mark.slow
+def test_an_archive_that_takes_nothing_is_heard_of(images, out, monkeypatch):
+    def refuse(*_):
+        raise SessionError("a read-only disk")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(Campaign, "ingest_run", refuse)
+        assert run(images, out, monkeypatch, result_of)[0] == 3
+        assert "WARNING not in the archive: a: a read-only disk" in (out / "night.log").read_text()
+        assert (
+            run(images, out, monkeypatch, result_of)[0] == 0
+        )  # what an earlier night has done is not this one's
+    assert run(images, out, monkeypatch, result_of)[0] == 0
+    with Campaign(out) as campaign:
+        assert [entry.image for entry in campaign.entries()] == ["a.fit"]
+
+
 def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     (images / "b.fit").write_text("picture b")
 
@@ -630,6 +658,8 @@ def test_sigterm_ends_a_night_with_its_summary(images, out, monkeypatch):
     assert ("needs an analyst" in said, "opnav lab" in said) == (False, False)
     summary = json.loads((out / "summary.json").read_text())
     assert {row["name"]: row["status"] for row in summary["images"]} == {"a": "ok", "b": "waiting"}
+    assert [row["attention"] for row in summary["images"]] == [[], []]
+    assert "Nothing so far; what is not processed yet waits" in (out / "summary.html").read_text()
     assert signal.getsignal(signal.SIGTERM) is before
     how = json.loads((out / "status.json").read_text())
     assert (how["state"], how["pictures"]["left"]) == ("stopped", 1)
@@ -654,6 +684,17 @@ def test_what_a_stopped_night_has_put_into_its_place_is_done(images, out, monkey
     other = Night(plan_night(spec_of(images, **OTHER), out))
     (row,) = night_summary_dict(other)["images"]  # what stands there is of other inputs
     assert (row["state"], row["status"]) == ("waiting", "waiting")
+
+
+@pytest.mark.slow
+def test_a_picture_that_was_delivered_twice_counts_once_and_is_told(images, out):
+    (images / "again.fit").write_text("picture a")
+    (images / "b.fit").write_text("picture b")
+    for _ in range(2):
+        summary = write_night_summary(night(images, out))
+        assert [note.partition(" (")[0] for note in summary["notes"]] == ["a, again are one picture"]
+    with Campaign(out) as campaign:
+        assert len(campaign.entries()) == 2
 
 
 class Dying:
