@@ -125,6 +125,18 @@ def test_one_key_gives_the_picture_the_window_and_back(bench):
     assert settled(page, lambda now: now["frame"] == before["frame"])["frame"] == before["frame"]
 
 
+def test_keys_are_heard_when_what_had_the_focus_is_folded_away(bench):
+    page = bench.page
+    page.locator(".ow-panel .tabs button").first.focus()
+    page.keyboard.press("F")
+    page.locator(".ow-panel").wait_for(state="hidden")
+    page.wait_for_function("() => document.activeElement === document.body")  # the browser's doing
+    page.keyboard.press("F")
+    page.locator(".ow-panel").wait_for()
+    assert page.evaluate("() => document.activeElement.matches('.opnav-workbench')")
+    settled(page)
+
+
 @pytest.mark.parametrize("place", ["window", "notebook"])
 def test_theme_does_not_move_the_picture(bench, place):
     page = bench.page

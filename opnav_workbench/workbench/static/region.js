@@ -198,6 +198,19 @@ function pictureTakes(root, name) {
   return picture?.dispatchEvent(new CustomEvent("opnav-key", { detail: name, cancelable: true })) === false;
 }
 
+// Where it has the whole window its keys are heard, too, when the focus was lost with what had it: a button that was folded
+// away or is not made any more.
+function hearTheWindow(bench) {
+  const hear = (event) => {
+    const root = bench.deref();
+    if (!root) return document.removeEventListener("keydown", hear, true);
+    if (event.target !== document.body || !root.owRoom.filled || !root.isConnected) return;
+    root.focus({ preventScroll: true });
+    root.owHear(event);
+  };
+  document.addEventListener("keydown", hear, true);
+}
+
 // The regions of a workbench share its root: keys are heard there, wherever in the workbench the focus is.
 function adopt(root, post) {
   if (root.dataset.owKeys) return;
@@ -205,34 +218,32 @@ function adopt(root, post) {
   root.tabIndex = 0;
   root.setAttribute("data-lm-suppress-shortcuts", "true"); // else JupyterLab cuts cells on x and d,d
   root.owRoom = new Room(root);
-  root.addEventListener(
-    "keydown",
-    (event) => {
-      if (isTyping(event)) {
-        if (event.key !== "Escape") return;
-        root.focus({ preventScroll: true });
-        if (event.target.dataset.take !== undefined) post({ act: "key", arg: "Escape" }); // its menu is closed, too
-        return;
-      }
-      const name = keyName(event);
-      if (root.owTyped !== undefined && (event.key.length === 1 || event.key === "Enter")) {
-        root.owTyped += event.key.length === 1 ? event.key : "\n"; // for the field that is on its way, and no command
-        event.preventDefault();
-        event.stopPropagation();
-        return;
-      }
-      const { keys, own, alone, room, typing } = root.owKeymap ?? { keys: [], own: [], alone: [], room: {}, typing: [] };
-      if (!keys.includes(name)) return;
-      if (own.includes(name) && event.target.closest(".opnav-picture")) return; // the picture is quicker by itself
+  root.owHear = (event) => {
+    if (isTyping(event)) {
+      if (event.key !== "Escape") return;
+      root.focus({ preventScroll: true });
+      if (event.target.dataset.take !== undefined) post({ act: "key", arg: "Escape" }); // its menu is closed, too
+      return;
+    }
+    const name = keyName(event);
+    if (root.owTyped !== undefined && (event.key.length === 1 || event.key === "Enter")) {
+      root.owTyped += event.key.length === 1 ? event.key : "\n"; // for the field that is on its way, and no command
       event.preventDefault();
       event.stopPropagation();
-      if (alone.includes(name) && pictureTakes(root, name)) return;
-      if (root.owRoom?.do(room[name])) return;
-      post({ act: "key", arg: name });
-      if (typing.includes(name) && !root.querySelector("[data-take]")) root.owTyped = "";
-    },
-    true,
-  );
+      return;
+    }
+    const { keys, own, alone, room, typing } = root.owKeymap ?? { keys: [], own: [], alone: [], room: {}, typing: [] };
+    if (!keys.includes(name)) return;
+    if (own.includes(name) && event.target.closest(".opnav-picture")) return; // the picture is quicker by itself
+    event.preventDefault();
+    event.stopPropagation();
+    if (alone.includes(name) && pictureTakes(root, name)) return;
+    if (root.owRoom?.do(room[name])) return;
+    post({ act: "key", arg: name });
+    if (typing.includes(name) && !root.querySelector("[data-take]")) root.owTyped = "";
+  };
+  root.addEventListener("keydown", root.owHear, true);
+  hearTheWindow(new WeakRef(root));
   root.addEventListener("keydown", (event) => {
     if (!["Tab", "Escape"].includes(event.key)) event.stopPropagation();
   });
