@@ -9,6 +9,7 @@ frame), positions are km in J2000 and count from the target: the spacecraft's, a
 Source: DOI-USGS/ale (CC0), ``formatters/formatter.py``; DOI-USGS/usgscsm, ``Distortion.cpp``.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -139,14 +140,22 @@ def _vector(values: Any, count: int) -> FloatArray:
     return readonly(vector)
 
 
+def _number(values: Mapping[str, Any], name: str) -> float:
+    """A number that must be told: ALE leaves null where a cube's label does not hold it."""
+    value = values[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise CameraError(f"image support data: {name} is {json.dumps(value)}; a number is needed.")
+    return float(value)
+
+
 def _camera(data: Mapping[str, Any]) -> Camera:
-    focal_mm = float(data["focal_length_model"]["focal_length"])
+    focal_mm = _number(data["focal_length_model"], "focal_length")
     if focal_mm < SHORTEST_FOCAL_MM:
         raise CameraError(f"image support data: focal_length is {focal_mm:g} mm; it seems to be in m.")
     rows = np.array([data["focal2pixel_samples"], data["focal2pixel_lines"]], dtype=np.float64)
     summing = np.array([float(data.get(f"detector_{axis}_summing") or 1) for axis in ("sample", "line")])
     start = np.array([float(data.get(f"starting_detector_{axis}") or 0) for axis in ("sample", "line")])
-    center = np.array([float(data["detector_center"][axis]) for axis in ("sample", "line")])
+    center = np.array([_number(data["detector_center"], axis) for axis in ("sample", "line")])
     focal_axes, matrix = _aligned(rows[:, 1:])
     lens, moved_mm = centered(_distortion(data.get("optical_distortion") or {}, focal_mm, focal_axes))
     frame = (
