@@ -165,15 +165,12 @@ class Stated:
     picture: str
     isd: str
     camera: tuple[str, str]
-    observer_is_target: bool = (
-        False  # SWAP_OBSERVER_TARGET of the label: light time is counted at the spacecraft
-    )
     apart_km: float = 1e-9
 
 
 STATED = (
     Stated("LORRI at Io", "nhlorri_isd", ("new_horizons", "lorri_1x1"), apart_km=1e-3),  # of 2.4 million
-    Stated("MapCam at Bennu", "osirisrex_isd", ("osiris_rex", "mapcam"), True, apart_km=1e-6),
+    Stated("MapCam at Bennu", "osirisrex_isd", ("osiris_rex", "mapcam"), apart_km=1e-6),
     Stated("Cassini at Enceladus", "cassiniiss_isd", ("cassini", "iss_nac")),
     Stated("Dawn at Ceres", "dawnfc_isd", ("dawn", "fc2")),
     Stated("Dawn at Ceres", "dawnfc_isis_isd", ("dawn", "fc2")),
@@ -189,7 +186,7 @@ def test_attitude_and_place_are_those_that_isis_attached_to_the_label(stated, da
     camera = _camera(stated.camera)
     with KernelSet(_kernels(data_dir, picture.generic, picture.folder)):
         ours = camera_attitude(camera.frame, theirs.et)
-        if stated.observer_is_target:
+        if theirs.places.craft_observes:  # MapCam's addendum says so
             place = -state(picture.target, theirs.et, picture.spacecraft, correction="LT+S").position_km
         else:
             place = state(picture.spacecraft, theirs.et, picture.target, correction="LT+S").position_km
@@ -201,10 +198,10 @@ def test_attitude_and_place_are_those_that_isis_attached_to_the_label(stated, da
 def test_what_isis_wrote_of_cassini_is_the_same_convention_with_other_ephemerides(data_dir):
     """0.56 km apart at 24,400 km, where ALE with the slice's kernels is a micrometer apart.
 
-    ISIS' tables were written with another reconstruction of the trajectory and of the satellites (their label names it). The Sun
-    as seen from Enceladus shows it: 0.54 km apart, where each part of the correction, left out, is 48,000 km or moves it by
-    0.8 km. What the moon is apart goes into the spacecraft's velocity from it, too. Taken out, only light time and aberration
-    at the body leave millimeters a second of it.
+    ISIS' tables were written with another reconstruction of the trajectory and of the satellites (their label names it). The
+    Sun as seen from Enceladus shows it: 0.54 km apart, where each part of the correction, left out, is 48,000 km or moves it
+    by 0.8 km. What the moon is apart goes into the spacecraft's velocity from it, too. Taken out, only light time and
+    aberration at the body leave millimeters a second of it.
     """
     picture = PICTURES["Cassini at Enceladus"]
     theirs = read_support_data(data_dir / "spice/instruments/isds/cassiniiss_isis_isd.json")
@@ -212,7 +209,9 @@ def test_what_isis_wrote_of_cassini_is_the_same_convention_with_other_ephemeride
         sun = state("SUN", theirs.et, picture.target, correction="LT+S")
         place = state(picture.spacecraft, theirs.et, picture.target, correction="LT+S")
         moon_km_s = sun.velocity_km_s - theirs.sun_velocity_km_s  # theirs minus ours
-        others = [state(picture.spacecraft, theirs.et, picture.target, correction=by) for by in ("NONE", "LT")]
+        others = [
+            state(picture.spacecraft, theirs.et, picture.target, correction=by) for by in ("NONE", "LT")
+        ]
         seen = state(picture.target, theirs.et, picture.spacecraft, correction="LT+S")  # at the spacecraft
 
     def apart_km_s(velocity):

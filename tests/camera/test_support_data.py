@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.camera import BrownDistortion, Camera, NoDistortion
-from opnav_workbench.camera.support_data import SupportData, read_support_data, support_data
+from opnav_workbench.camera.support_data import PlaceConvention, SupportData, read_support_data, support_data
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import read_json, write_json
 from opnav_workbench.geometry import rotation_from_vector
@@ -55,6 +55,9 @@ def test_what_is_written_sees_the_sky_where_the_camera_does(tmp_path, name):
     np.testing.assert_allclose(again.position_km, said(camera).position_km)
     np.testing.assert_allclose(again.body_from_j2000, said(camera).body_from_j2000, atol=1e-12)
     np.testing.assert_allclose(again.radii_km, [482.0, 446.0])
+    assert again.places == PlaceConvention(
+        craft_observes=True
+    )  # ISIS' and ALE's own words, read by them, too
 
 
 def test_missing_geometry_and_other_sensors_are_refused_in_one_line(tmp_path):
@@ -223,7 +226,7 @@ FILES |= {
             camera, focal_length_mm=2003.09,
             distortion=BrownDistortion(camera.distortion.focal_mm, k1=-camera.distortion.k1),
         ),
-        0.0, "focal length of the filters CL1, UV3; ALE has barrel distortion where Owen (2003) has pincushion of 8.28e-6 /mm^2",
+        0.0, "focal length of the filters CL1, UV3; ALE has barrel distortion where stars show pincushion (Owen 2003)",
     ),
     "cassiniiss_isis_isd": (
         "cassini", "iss_nac", lambda camera: replace(_undistorted(camera), focal_length_mm=2003.09), 0.5,
@@ -235,15 +238,15 @@ FILES |= {
             _centered_at(268.0, 205.5)(camera), n_line=412, pixel_from_mm=np.diag([62.5, -62.5]), focal_length_mm=166.85
         ),
         0.5,
-        f"{BASE}; calibrated pictures of 412 lines of square pixels, first line below, where ours are of 244 as read out;"
-        " 166.85 mm of the addendum, 167.0 of Hawkins et al. (0.24 px at the edge)",
+        f"{BASE}; calibrated pictures of 412 square lines, the first below; ours are 244 as read out; 166.85 mm, not 167",
     ),
 }  # fmt: skip
 # What turns directions of ALE's sensor into those of our camera's frame.
 TURNED = {
     "nhlorri_isd": np.diag([1.0, 1.0, -1.0]),  # LORRI looks along -Z, ALE's sensors along +Z
     # Frame CASSINI_ISS_NAC_USGS of the addendum
-    "cassiniiss_isd": np.diag([-1.0, -1.0, 1.0]), "cassiniiss_isis_isd": np.diag([-1.0, -1.0, 1.0]),
+    "cassiniiss_isd": np.diag([-1.0, -1.0, 1.0]),
+    "cassiniiss_isis_isd": np.diag([-1.0, -1.0, 1.0]),
     "msi_isd": np.array(  # our frame is that of the bus, whose attitude headers give: ALE's constant_rotation
         [
             [-0.0014422521585655882, 6.97819591591179e-07, 0.9999989599535712],
