@@ -790,9 +790,12 @@ def _check_field(kernel: _Kernel, axes: FloatArray, size: tuple[int, int], field
         )
     elif narrower or (ratio > UNIT_TOLERANCE).all():
         wide, narrow = (2.0 * np.degrees(np.arctan(tangents)) for tangents in (made, told))
+        in_m = bool((np.abs(np.log(ratio * 1e-3)) < np.log(UNIT_TOLERANCE)).any())
+        hint = " (a focal length in m, or pixels in um taken for mm?)" if in_m else ""
         raise CameraError(
             f"{size[0]} x {size[1]} pixels of {pitch_mm[0] * 1e3:.4g} um behind {fields['focal_length_mm']:.4g} mm see "
-            f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg; "
+            f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg"
+            f"{hint}; "
             "check the units and the number of pixels, or give focal_length_mm and pixel_from_mm."
         )
 

@@ -31,6 +31,8 @@ FEW = 3  # numbers of each
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
 MOST_CROSS_PX = 60.0
 ALIKE_PX = 0.01  # filters whose pictures differ by less are one camera
+SCAN_LINES = 1024  # of a scan that nobody has taken yet
+SCANNER = "a line scanner? --line-scan --line-time-s 0.002 (s from line to line)"
 NETWORK = 5  # places along each side that this is asked at
 
 
@@ -103,7 +105,8 @@ def camera_of_kernels(
             if wanted is not None and not _is_wanted(wanted, number, values):
                 continue
             try:
-                found.append(Camera.from_ik(values, number, **given))
+                camera = Camera.from_ik(values, number, **given)
+                found.append(_scanned(camera, size) if numbers.scans else camera)
             except OpNavError as error:
                 try:
                     fitted.append(_fitted(values, number, size, given, error))
@@ -117,7 +120,25 @@ def camera_of_kernels(
     found = found or fitted  # one that states its size comes before one that takes the picture's
     if not found:
         raise CameraError(_nothing_found(refused, size))
-    return _with_pointing(_the_one(found, words))
+    camera = _the_one(found, words)
+    if camera.n_line == 1 and not numbers.scans:
+        raise CameraError(f"{camera.name} ({camera.instrument_id}) has one line of pixels; {SCANNER}.")
+    return _with_pointing(camera)
+
+
+def _scanned(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    """The camera with as many lines as a scan has: those of the picture, not of the detector."""
+    if size is not None and size[0] == camera.n_pixel:
+        told = Origin("n_line", "known", f"{size[1]}, the scan's")
+    elif camera.n_line == 1:
+        size, told = (
+            (camera.n_pixel, SCAN_LINES),
+            Origin("n_line", "guessed", f"{SCAN_LINES}; scans have any length"),
+        )
+    else:
+        return camera
+    origins = tuple(origin for origin in camera.origins if origin.field != "n_line")
+    return replace(camera, n_line=size[1], origins=(*origins, told))
 
 
 def _nothing_found(refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None) -> str:
@@ -204,10 +225,11 @@ def _of_size(every: Sequence[Camera], shape: tuple[int, int], *, or_refuse: bool
     if found or not every or not or_refuse:
         return found
     sizes = sorted({(camera.n_pixel, camera.n_line) for camera in every})
+    one_line = any(across == shape[1] and down == 1 for across, down in sizes)
+    remedy = SCANNER if one_line else "give the kernel of this picture's camera (--ik)"
     raise CameraError(
         f"no camera in these kernels makes {shape[1]} x {shape[0]} pixels: {_named(every)} make "
-        f"{', '.join(f'{across} x {down}' for across, down in sizes[:SHOWN])}; give the kernel of this picture's "
-        "camera (--ik)."
+        f"{', '.join(f'{across} x {down}' for across, down in sizes[:SHOWN])}; {remedy}."
     )
 
 
