@@ -327,6 +327,28 @@ class TestRaw:
         np.testing.assert_array_equal(picture.image_dn, PIXELS)
         check_sidecar(picture)
 
+    @pytest.mark.parametrize(("bits", "order"), [(10, "little"), (12, "little"), (12, "big"), (14, "big")])
+    def test_packed_samples(self, tmp_path, bits, order):
+        """Bit after bit, as NumPy packs them; a line of 19 samples ends within a byte."""
+        path, pixels = tmp_path / "a.raw", RNG.integers(0, 1 << bits, (12, 19))
+        pixels[3, 4] = (1 << bits) - 1
+        places = np.arange(bits) if order == "little" else np.arange(bits)[::-1]
+        each = (pixels[..., None] >> places & 1).astype(np.uint8).reshape(12, -1)
+        path.write_bytes(b"\7" * 6 + np.packbits(each, axis=1, bitorder=order).tobytes())
+        layout = {
+            "lines": 12,
+            "samples": 19,
+            "sample_type": f"uint{bits}",
+            "byte_order": order,
+            "header_bytes": 6,
+        }
+        path.with_suffix(".json").write_text(json.dumps(SIDECAR | layout))
+        picture = read_image(path, MISSION)
+        np.testing.assert_array_equal(picture.image_dn, pixels)
+        assert picture.saturated[3, 4]
+        path.write_bytes(b"\7" * 6 + pixels.astype("<u2").tobytes())
+        assert "two bytes a sample; write sample_type: uint16" in error_of(path)
+
     def test_named_by_its_sidecar(self, tmp_path):
         (tmp_path / "pixels.dat").write_bytes(
             np.moveaxis([PIXELS, PIXELS + 1, PIXELS + 2], 0, 2).astype("<u2").tobytes()
