@@ -478,6 +478,20 @@ class TestPds4:
         path.write_bytes(pds4_label("a.dat", (12, 20), kind, more=special))
         assert np.argwhere(read_image(path, self.KEYWORDS).bad).tolist() == [[3, 4]]
 
+    @pytest.mark.parametrize("label_name", ["ce5_0001.2CL", "ce5_0001.lblx", "ce5_0001.XML"])
+    def test_labels_of_other_agencies(self, tmp_path, label_name):
+        """China's are named like their data with an L, ESA's name the PDS's space and may be in UTF-16."""
+        data = tmp_path / "ce5_0001.2C"
+        data.write_bytes(PIXELS.astype(">i2").tobytes())
+        label, path = pds4_label("ce5_0001.2C", (12, 20), "SignedMSB2").decode(), tmp_path / label_name
+        label = label.replace("<Product_Obs", "<p:Product_Obs").replace("</Product_Obs", "</p:Product_Obs")
+        label = label.replace("xmlns=", "xmlns:p=").replace('unit="ms">90.0', 'unit="ns">9e7')
+        path.write_bytes(label.encode("utf-16" if label_name.endswith("XML") else "utf-8"))
+        picture = read_image(path, self.KEYWORDS)
+        np.testing.assert_array_equal(picture.image_dn, 0.5 * PIXELS + 10.0)
+        assert picture.exposure_s == pytest.approx(0.09)
+        assert error_of(data).endswith(f"give its label {label_name}.")
+
     def test_a_fits_file_that_a_label_describes(self, tmp_path):
         fits.PrimaryHDU(PIXELS.astype(">i2")).writeto(tmp_path / "a.fits")
         path = tmp_path / "a.xml"
