@@ -1,5 +1,6 @@
 """The camera that took a picture, from instrument kernels, image support data or a few numbers."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -33,6 +34,7 @@ MOST_CROSS_PX = 60.0
 ALIKE_PX = 0.01  # filters whose pictures differ by less are one camera
 SCAN_LINES = 1024  # of a scan that nobody has taken yet
 SCANNER = "a line scanner? --line-scan --line-time-s 0.002 (s from line to line)"
+WHEEL_PX = 5.0  # filters of one camera, whose lens focuses their colors elsewhere: Dawn's are 1.5 px apart in a corner
 NETWORK = 5  # places along each side that this is asked at
 
 
@@ -178,7 +180,13 @@ def _the_one(found: Sequence[Camera], words: PictureWords) -> Camera:
             why.append(f"the picture's filter is {word}")
     first = min(found, key=lambda camera: abs(camera.instrument_id))
     others = [camera for camera in found if camera is not first]
-    if not all(_alike(first, other) for other in others):
+    if not all(_apart_px(first, other) < ALIKE_PX for other in others):
+        if not words.filters and (apart_px := _wheel_px(first, others)) is not None:
+            told = f"{first.instrument_id}, the camera itself: its filter is not told; with one of the {len(others)} others"
+            guess = Origin(
+                "instrument_id", "guessed", f"{told} places are up to {apart_px:.1f} px off (--instrument)"
+            )
+            return replace(first, origins=(*first.origins, guess))
         raise CameraError(
             f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
             f" --instrument {first.instrument_id} (filters and modes of a camera have numbers of their own)."
@@ -205,14 +213,22 @@ def _of_filter(found: Sequence[Camera], word: str) -> list[Camera]:
     return [camera for camera in found if camera.instrument_id + number in base]
 
 
-def _alike(camera: Camera, other: Camera) -> bool:
-    """Whether two cameras see every direction at the same place."""
+def _apart_px(camera: Camera, other: Camera) -> float:
+    """How far apart two cameras see a direction at most, px; infinite of other frames and sizes."""
     if (camera.n_pixel, camera.n_line, camera.frame) != (other.n_pixel, other.n_line, other.frame):
-        return False
+        return math.inf
     across, down = (np.linspace(0.0, n - 1.0, NETWORK) for n in (camera.n_pixel, camera.n_line))
     places: FloatArray = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     apart = np.linalg.norm(other.project(camera.unproject(places)) - places, axis=1)
-    return bool(np.all(apart < ALIKE_PX))
+    return float(np.nan_to_num(apart, nan=np.inf).max())
+
+
+def _wheel_px(camera: Camera, others: Sequence[Camera]) -> float | None:
+    """How far apart the filters of one camera see a direction at most, px; None where they are several cameras."""
+    if camera.instrument_id % 10 or any(other.name != camera.name for other in others):
+        return None
+    apart = max(_apart_px(camera, other) for other in others)
+    return apart if apart < WHEEL_PX else None
 
 
 def _listed(numbers: Sequence[int]) -> str:

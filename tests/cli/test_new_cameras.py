@@ -113,6 +113,12 @@ def test_a_picture_s_words_choose_camera_and_filter(filters):
         chosen(("FC2",), ("CLEAR",))
     with pytest.raises(CameraError, match=r"8 cameras"):
         chosen(("another",), ("7",))
+    guess = chosen(("FC2",), ())  # no word of a filter: the camera itself, and what that may cost
+    assert guess.instrument_id == -999200
+    (said,) = (o.text for o in guess.origins if o.field == "instrument_id")
+    assert "with one of the 3 others places are up to 3.6 px off" in said
+    with pytest.raises(CameraError, match=r"8 cameras"):
+        chosen()
 
 
 def test_filters_of_the_same_optics_are_one_camera(tmp_path):
