@@ -131,7 +131,11 @@ def read_support_data(path: str | PathLike[str]) -> SupportData:
 def _read(data: Mapping[str, Any]) -> SupportData:
     model = data.get("name_model")
     if model != FRAME_MODEL:
-        raise CameraError(f"image support data of a {model}; only frame cameras ({FRAME_MODEL}) are read.")
+        scans = "; a line scanner's instrument kernel is read: opnav mission new NAME --ik FILE --line-scan"
+        raise CameraError(
+            f"image support data of a {model}; only frame cameras ({FRAME_MODEL}) are read"
+            f"{scans if 'LINE_SCANNER' in str(model) else ''}."
+        )
     et = float(data["center_ephemeris_time"])
     position = _states(data.get("instrument_position"), et)
     sun = _states(data.get("sun_position"), et)

@@ -101,10 +101,12 @@ def camera_of_kernels(
     found: list[Camera] = []
     fitted: list[Camera] = []
     refused: dict[str, list[int]] = {}
+    others: list[int] = []
     with KernelSet(kernels):
         for number in instrument_ids():
             values = instrument_values(number)
             if wanted is not None and not _is_wanted(wanted, number, values):
+                others.append(number)
                 continue
             try:
                 camera = Camera.from_ik(values, number, **given)
@@ -121,7 +123,7 @@ def camera_of_kernels(
         _check_size(found[0], shape, kernels)
     found = found or fitted  # one that states its size comes before one that takes the picture's
     if not found:
-        raise CameraError(_nothing_found(refused, size))
+        raise CameraError(_nothing_found(refused, size, others))
     camera = _the_one(found, words)
     if camera.n_line == 1 and not numbers.scans:
         raise CameraError(f"{camera.name} ({camera.instrument_id}) has one line of pixels; {SCANNER}.")
@@ -143,13 +145,22 @@ def _scanned(camera: Camera, size: tuple[int, int] | None) -> Camera:
     return replace(camera, n_line=size[1], origins=(*origins, told))
 
 
-def _nothing_found(refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None) -> str:
-    """Say why no instrument of the kernels (numbers by reason) is a camera, and what cures it."""
+def _nothing_found(
+    refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None, others: Sequence[int]
+) -> str:
+    """Say why no instrument of the kernels (numbers by reason) is a camera, and what cures it; others were not wanted."""
+    if not refused and others:
+        return (
+            f"no camera in these kernels: no instrument of that number or name (--instrument); there are "
+            f"{_listed(others)}."
+        )
     if not refused:
-        return "no camera in these kernels: no instrument (or none of that number or name)."
+        return "no camera in these kernels: no instrument at all; give its instrument kernel (--ik probe_cam.ti)."
     remedy = "give the numbers that are missing, or the kernel that has them, too (another --ik)"
     if any("PIXEL_SAMPLES" in why for why in refused) and size is None:
         remedy = "give a picture (--image) or --size 1024x1024; beside an ISIS addendum its IK is needed, too (--ik)"
+    elif any("OD_K" in why for why in refused):
+        remedy = "leave the addendum out: its distortion follows a law of its own"
     elif any("FOV_FRAME" in why for why in refused):
         remedy = "an addendum alone makes no camera: give the instrument kernel that it belongs to, too (another --ik)"
     reasons = [f"{why} ({_listed(numbers)})" for why, numbers in list(refused.items())[:FEW]]
