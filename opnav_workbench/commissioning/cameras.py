@@ -193,10 +193,11 @@ def _the_one(found: Sequence[Camera], words: PictureWords) -> Camera:
     others = [camera for camera in found if camera is not first]
     if not all(_apart_px(first, other) < ALIKE_PX for other in others):
         if not words.filters and (apart_px := _wheel_px(first, others)) is not None:
-            told = f"{first.instrument_id}, the camera itself: its filter is not told; with one of the {len(others)} others"
-            guess = Origin(
-                "instrument_id", "guessed", f"{told} places are up to {apart_px:.1f} px off (--instrument)"
+            text = (
+                f"{first.instrument_id}, the camera itself: its filter is not told; with one of the {len(others)} others "
+                f"places are up to {apart_px:.1f} px off (--instrument)"
             )
+            guess = Origin("instrument_id", "guessed", text)
             return replace(first, origins=(*first.origins, guess))
         raise CameraError(
             f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
