@@ -790,9 +790,12 @@ def _check_field(kernel: _Kernel, axes: FloatArray, size: tuple[int, int], field
         )
     elif narrower or (ratio > UNIT_TOLERANCE).all():
         wide, narrow = (2.0 * np.degrees(np.arctan(tangents)) for tangents in (made, told))
+        in_m = bool((np.abs(np.log(ratio * 1e-3)) < np.log(UNIT_TOLERANCE)).any())
+        hint = " (a focal length in m, or pixels in um taken for mm?)" if in_m else ""
         raise CameraError(
             f"{size[0]} x {size[1]} pixels of {pitch_mm[0] * 1e3:.4g} um behind {fields['focal_length_mm']:.4g} mm see "
-            f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg; "
+            f"{wide[0]:.4g} x {wide[1]:.4g} deg, but the kernel's field of view is {narrow[0]:.4g} x {narrow[1]:.4g} deg"
+            f"{hint}; "
             "check the units and the number of pixels, or give focal_length_mm and pixel_from_mm."
         )
 
@@ -922,6 +925,12 @@ def _one_radial(kernel: _Kernel, _focal_mm: float, _pitch_mm: float) -> Distorti
 
 def _radial(kernel: _Kernel, _focal_mm: float, pitch_mm: float) -> Distortion:
     """``OD_K``: ISIS' polynomial, or what the comments of the mission's kernel say."""
+    of_line = LINE_OD_K.get(abs(kernel.instrument_id) // 1000)
+    if of_line is not None and len(kernel.pool["OD_K"]) == 1:
+        k1 = float(_numbers(kernel.pool, "OD_K", 1)[0])
+        kernel.note("derived", "distortion", f"OD_K {k1:g}: {of_line}")
+        # 1 / (1 + k r^2) to its fourth power: 3e-6 px at the end of the line
+        return RadialDistortion(0.0, k1, -(k1**2), k1**3)
     if len(kernel.pool["OD_K"]) != 3:
         raise CameraError(
             f"OD_K of the instrument kernel has {len(kernel.pool['OD_K'])} values, 3 make a radial distortion; "
@@ -951,6 +960,9 @@ def _hayabusa2_terms(k: FloatArray, pitch_mm: float) -> Terms:
     return 1.0 - float(k[0]), -float(k[1]) / pitch_mm**2, -float(k[2]) / pitch_mm**4, 0.0
 
 
+LINE_OD_K = {
+    85: "ideal = distorted / (1 + k r^2), r mm, as the comments of LROC's kernel say of its narrow angle cameras"
+}
 ISIS_OD_K = ("ideal = distorted (1 - k0 - k1 r^2 - k2 r^4), r mm, as ISIS computes it", _isis_terms)
 # What the keyword means stands in the comments of kernels only: lro_lroc_v18.ti ("Distortion Model Parameters"), and
 # hyb2oncAddendum0001.ti after the ONC bundle of DARTS.

@@ -4,11 +4,14 @@ ALE makes these files for ISIS' users; mapping programs take pointing from them.
 `support_data` says one for a picture whose attitude is known.
 
 Lines and samples there count 0.5 at the first pixel's center, focal planes have mm, quaternions are SPICE's (J2000 to
-frame), positions are km in J2000 and count from the target: the spacecraft's, and the Sun's.
+frame), positions are km in J2000 and count from the target: the spacecraft's, and the Sun's. `PlaceConvention` says how they
+are corrected for light time and aberration, which `opnav_workbench.session.beside` takes back.
 
-Source: DOI-USGS/ale (CC0), ``formatters/formatter.py``; DOI-USGS/usgscsm, ``Distortion.cpp``.
+Source: DOI-USGS/ale (CC0), ``formatters/formatter.py``, ``base/data_naif.py``; DOI-USGS/usgscsm, ``Distortion.cpp``;
+DOI-USGS/ISIS3, ``SpacecraftPosition.cpp``.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -32,7 +35,7 @@ if TYPE_CHECKING:
 else:
     transform = module_on_demand("scipy.spatial.transform")
 
-__all__ = ["SupportData", "read_support_data", "support_data"]
+__all__ = ["PlaceConvention", "SupportData", "read_support_data", "support_data"]
 
 FRAME_MODEL = "USGS_ASTRO_FRAME_SENSOR_MODEL"
 FIRST_CENTER = 0.5  # line and sample of the first pixel's center in a Community Sensor Model
@@ -42,6 +45,30 @@ FIT_POINTS, FIT_PX = 41, 0.01  # along an edge of the detector; what a descripti
 TAYLOR_POWERS = np.array(
     [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)], dtype=np.float64
 )
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceConvention:
+    """How the spacecraft's place in image support data is corrected: ISIS' addenda say it, ALE does as they say.
+
+    Attributes
+    ----------
+    craft_observes
+        Light is timed as it comes from the target to the spacecraft, ``INS<id>_SWAP_OBSERVER_TARGET``. Otherwise the target
+        observes the spacecraft, as ISIS does where no addendum says anything: 2.3 km from there for Cassini at 24,400 km.
+    light_time, aberration
+        By ``INS<id>_LIGHTTIME_CORRECTION``: "LT+S" both, "NONE" neither.
+    to_surface
+        ``INS<id>_LT_SURFACE_CORRECT``: light comes from the target's surface, a radius nearer; without aberration.
+    """
+
+    craft_observes: bool = False
+    light_time: bool = True
+    aberration: bool = True
+    to_surface: bool = False
+
+
+WRITTEN = PlaceConvention(craft_observes=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +89,8 @@ class SupportData:
         Their names.
     target_id
         NAIF's number of the target; None where it is not told.
+    places
+        How `position_km` is corrected.
     """
 
     camera: Camera
@@ -76,6 +105,7 @@ class SupportData:
     spacecraft: str = ""
     sensor: str = ""
     target_id: int | None = None
+    places: PlaceConvention = WRITTEN
 
 
 # ---- Reading.
@@ -101,7 +131,11 @@ def read_support_data(path: str | PathLike[str]) -> SupportData:
 def _read(data: Mapping[str, Any]) -> SupportData:
     model = data.get("name_model")
     if model != FRAME_MODEL:
-        raise CameraError(f"image support data of a {model}; only frame cameras ({FRAME_MODEL}) are read.")
+        scans = "; a line scanner's instrument kernel is read: opnav mission new NAME --ik FILE --line-scan"
+        raise CameraError(
+            f"image support data of a {model}; only frame cameras ({FRAME_MODEL}) are read"
+            f"{scans if 'LINE_SCANNER' in str(model) else ''}."
+        )
     et = float(data["center_ephemeris_time"])
     position = _states(data.get("instrument_position"), et)
     sun = _states(data.get("sun_position"), et)
@@ -119,6 +153,7 @@ def _read(data: Mapping[str, Any]) -> SupportData:
         spacecraft=str(data.get("name_platform", "")),
         sensor=str(data.get("name_sensor", "")),
         target_id=_body_code(data.get("naif_keywords")),
+        places=_convention(data.get("naif_keywords")),
     )
 
 
@@ -126,6 +161,25 @@ def _body_code(keywords: Any) -> int | None:
     code = keywords.get("BODY_CODE") if isinstance(keywords, Mapping) else None
     code = code[0] if isinstance(code, list) and len(code) == 1 else code
     return code if isinstance(code, int) else None
+
+
+def _convention(keywords: Any) -> PlaceConvention:
+    told = keywords if isinstance(keywords, Mapping) else {}
+
+    def said(name: str, otherwise: str) -> str:
+        """What the addendum of the one instrument says that the file is about."""
+        values = [value for key, value in told.items() if str(key).endswith(name)]
+        return str(values[0]).strip().upper() if values else otherwise
+
+    correction = said("_LIGHTTIME_CORRECTION", "LT+S")
+    corrected = correction != "NONE"
+    to_surface = corrected and said("_LT_SURFACE_CORRECT", "FALSE") == "TRUE"
+    return PlaceConvention(
+        craft_observes=said("_SWAP_OBSERVER_TARGET", "FALSE") == "TRUE",
+        light_time=corrected,
+        aberration=correction.endswith("+S") and not to_surface,
+        to_surface=to_surface,
+    )
 
 
 def _km(values: Mapping[str, Any]) -> float:
@@ -139,14 +193,22 @@ def _vector(values: Any, count: int) -> FloatArray:
     return readonly(vector)
 
 
+def _number(values: Mapping[str, Any], name: str) -> float:
+    """A number that must be told: ALE leaves null where a cube's label does not hold it."""
+    value = values[name]
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise CameraError(f"image support data: {name} is {json.dumps(value)}; a number is needed.")
+    return float(value)
+
+
 def _camera(data: Mapping[str, Any]) -> Camera:
-    focal_mm = float(data["focal_length_model"]["focal_length"])
+    focal_mm = _number(data["focal_length_model"], "focal_length")
     if focal_mm < SHORTEST_FOCAL_MM:
         raise CameraError(f"image support data: focal_length is {focal_mm:g} mm; it seems to be in m.")
     rows = np.array([data["focal2pixel_samples"], data["focal2pixel_lines"]], dtype=np.float64)
     summing = np.array([float(data.get(f"detector_{axis}_summing") or 1) for axis in ("sample", "line")])
     start = np.array([float(data.get(f"starting_detector_{axis}") or 0) for axis in ("sample", "line")])
-    center = np.array([float(data["detector_center"][axis]) for axis in ("sample", "line")])
+    center = np.array([_number(data["detector_center"], axis) for axis in ("sample", "line")])
     focal_axes, matrix = _aligned(rows[:, 1:])
     lens, moved_mm = centered(_distortion(data.get("optical_distortion") or {}, focal_mm, focal_axes))
     frame = (
@@ -283,7 +345,10 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
             "constant_frames": [camera.instrument_id],
             "constant_rotation": np.eye(3).ravel().tolist(),
         },
-        "naif_keywords": {"BODY_CODE": target_frame} if target_frame else {},
+        "naif_keywords": {
+            **({"BODY_CODE": target_frame} if target_frame else {}),
+            **_told_convention(camera.instrument_id, data.places),
+        },
         "detector_sample_summing": 1,
         "detector_line_summing": 1,
         "focal_length_model": {"focal_length": camera.focal_length_mm},
@@ -298,6 +363,17 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
         "optical_distortion": _told_distortion(camera),
         "instrument_position": _moving(needed["position_km"], data.velocity_km_s, data.et),
         "sun_position": _moving(needed["sun_position_km"], data.sun_velocity_km_s, data.et),
+    }
+
+
+def _told_convention(instrument_id: int, places: PlaceConvention) -> dict[str, Any]:
+    """The words of an addendum that say how places are corrected."""
+    correction = "LT" if places.light_time else "NONE"
+    return {
+        f"INS{instrument_id}_SWAP_OBSERVER_TARGET": places.craft_observes,
+        f"INS{instrument_id}_LIGHTTIME_CORRECTION": correction
+        + ("+S" if places.aberration or places.to_surface else ""),
+        f"INS{instrument_id}_LT_SURFACE_CORRECT": places.to_surface,
     }
 
 

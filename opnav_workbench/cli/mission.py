@@ -189,6 +189,8 @@ def _print_new(console: Console, made: NewMission, wanted: Wanted) -> None:
     for caution in made.cautions:
         console.print(f"[yellow]star_field: {shown(caution)}[/]", highlight=False, soft_wrap=True)
     picture = shown(str(wanted.image)) if wanted.image else f"{folder}/simulated/star_field.fit"
+    if wanted.image is None and not views:
+        picture = "PICTURE"
     kernels = f" --kernels {shown(wanted.kernels)}" if wanted.kernels else ""
     if wanted.numbers.scans and not wanted.kernels:
         kernels = f" --kernels {folder}/kernels/star_fields.tm"

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from opnav_workbench.cli.terminal import error_console, picture_progress, plain_table, shown
 from opnav_workbench.errors import MissionError
+from opnav_workbench.mission import load_mission
 from opnav_workbench.simulation import (
     PictureReport,
     PictureScenario,
@@ -88,6 +89,11 @@ def _next_command(scenario: PictureScenario, out: Path, reports: Sequence[Pictur
     options = {"mission": scenario.mission, "kernels": scenario.kernels, "catalog": scenario.catalog}
     usual = PictureScenario.model_fields["catalog"].default
     said = [(name, value) for name, value in options.items() if value and value != usual]
+    bare = all(picture.targets == () for picture in scenario.pictures)
+    if scenario.mission and bare and load_mission(scenario.source(scenario.mission)).default_targets:
+        said.append(
+            ("targets", "none")
+        )  # the mission's own, which nobody drew, and which their kernels do not know
     return " ".join(["opnav process", pictures, *(f"--{name} {shlex.quote(value)}" for name, value in said)])
 
 

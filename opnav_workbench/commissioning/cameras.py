@@ -1,5 +1,6 @@
 """The camera that took a picture, from instrument kernels, image support data or a few numbers."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -31,6 +32,9 @@ FEW = 3  # numbers of each
 POINTING_RAD = 1e-3  # how well a spacecraft's attitude is known, where nobody says
 MOST_CROSS_PX = 60.0
 ALIKE_PX = 0.01  # filters whose pictures differ by less are one camera
+SCAN_LINES = 1024  # of a scan that nobody has taken yet
+SCANNER = "a line scanner? --line-scan --line-time-s 0.002 (s from line to line)"
+WHEEL_PX = 5.0  # filters of one camera, whose lens focuses their colors elsewhere: Dawn's are 1.5 px apart in a corner
 NETWORK = 5  # places along each side that this is asked at
 
 
@@ -97,13 +101,16 @@ def camera_of_kernels(
     found: list[Camera] = []
     fitted: list[Camera] = []
     refused: dict[str, list[int]] = {}
+    others: list[int] = []
     with KernelSet(kernels):
         for number in instrument_ids():
             values = instrument_values(number)
             if wanted is not None and not _is_wanted(wanted, number, values):
+                others.append(number)
                 continue
             try:
-                found.append(Camera.from_ik(values, number, **given))
+                camera = Camera.from_ik(values, number, **given)
+                found.append(_scanned(camera, size) if numbers.scans else camera)
             except OpNavError as error:
                 try:
                     fitted.append(_fitted(values, number, size, given, error))
@@ -116,17 +123,44 @@ def camera_of_kernels(
         _check_size(found[0], shape, kernels)
     found = found or fitted  # one that states its size comes before one that takes the picture's
     if not found:
-        raise CameraError(_nothing_found(refused, size))
-    return _with_pointing(_the_one(found, words))
+        raise CameraError(_nothing_found(refused, size, others))
+    camera = _the_one(found, words)
+    if camera.n_line == 1 and not numbers.scans:
+        raise CameraError(f"{camera.name} ({camera.instrument_id}) has one line of pixels; {SCANNER}.")
+    return _with_pointing(camera)
 
 
-def _nothing_found(refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None) -> str:
-    """Say why no instrument of the kernels (numbers by reason) is a camera, and what cures it."""
+def _scanned(camera: Camera, size: tuple[int, int] | None) -> Camera:
+    """The camera with as many lines as a scan has: those of the picture, not of the detector."""
+    if size is not None and size[0] == camera.n_pixel:
+        told = Origin("n_line", "known", f"{size[1]}, the scan's")
+    elif camera.n_line == 1:
+        size, told = (
+            (camera.n_pixel, SCAN_LINES),
+            Origin("n_line", "guessed", f"{SCAN_LINES}; scans have any length"),
+        )
+    else:
+        return camera
+    origins = tuple(origin for origin in camera.origins if origin.field != "n_line")
+    return replace(camera, n_line=size[1], origins=(*origins, told))
+
+
+def _nothing_found(
+    refused: Mapping[str, Sequence[int]], size: tuple[int, int] | None, others: Sequence[int]
+) -> str:
+    """Say why no instrument of the kernels (numbers by reason) is a camera, and what cures it; others were not wanted."""
+    if not refused and others:
+        return (
+            f"no camera in these kernels: no instrument of that number or name (--instrument); there are "
+            f"{_listed(others)}."
+        )
     if not refused:
-        return "no camera in these kernels: no instrument (or none of that number or name)."
+        return "no camera in these kernels: no instrument at all; give its instrument kernel (--ik probe_cam.ti)."
     remedy = "give the numbers that are missing, or the kernel that has them, too (another --ik)"
     if any("PIXEL_SAMPLES" in why for why in refused) and size is None:
         remedy = "give a picture (--image) or --size 1024x1024; beside an ISIS addendum its IK is needed, too (--ik)"
+    elif any("OD_K" in why for why in refused):
+        remedy = "leave the addendum out: its distortion follows a law of its own"
     elif any("FOV_FRAME" in why for why in refused):
         remedy = "an addendum alone makes no camera: give the instrument kernel that it belongs to, too (another --ik)"
     reasons = [f"{why} ({_listed(numbers)})" for why, numbers in list(refused.items())[:FEW]]
@@ -157,7 +191,14 @@ def _the_one(found: Sequence[Camera], words: PictureWords) -> Camera:
             why.append(f"the picture's filter is {word}")
     first = min(found, key=lambda camera: abs(camera.instrument_id))
     others = [camera for camera in found if camera is not first]
-    if not all(_alike(first, other) for other in others):
+    if not all(_apart_px(first, other) < ALIKE_PX for other in others):
+        if not words.filters and (apart_px := _wheel_px(first, others)) is not None:
+            text = (
+                f"{first.instrument_id}, the camera itself: its filter is not told; with one of the {len(others)} others "
+                f"places are up to {apart_px:.1f} px off (--instrument)"
+            )
+            guess = Origin("instrument_id", "guessed", text)
+            return replace(first, origins=(*first.origins, guess))
         raise CameraError(
             f"{len(found)} cameras in these kernels: {_named(found)}; choose one by its number,"
             f" --instrument {first.instrument_id} (filters and modes of a camera have numbers of their own)."
@@ -184,14 +225,22 @@ def _of_filter(found: Sequence[Camera], word: str) -> list[Camera]:
     return [camera for camera in found if camera.instrument_id + number in base]
 
 
-def _alike(camera: Camera, other: Camera) -> bool:
-    """Whether two cameras see every direction at the same place."""
+def _apart_px(camera: Camera, other: Camera) -> float:
+    """How far apart two cameras see a direction at most, px; infinite of other frames and sizes."""
     if (camera.n_pixel, camera.n_line, camera.frame) != (other.n_pixel, other.n_line, other.frame):
-        return False
+        return math.inf
     across, down = (np.linspace(0.0, n - 1.0, NETWORK) for n in (camera.n_pixel, camera.n_line))
     places: FloatArray = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     apart = np.linalg.norm(other.project(camera.unproject(places)) - places, axis=1)
-    return bool(np.all(apart < ALIKE_PX))
+    return float(np.nan_to_num(apart, nan=np.inf).max())
+
+
+def _wheel_px(camera: Camera, others: Sequence[Camera]) -> float | None:
+    """How far apart the filters of one camera see a direction at most, px; None where they are several cameras."""
+    if camera.instrument_id % 10 or any(other.name != camera.name for other in others):
+        return None
+    apart = max(_apart_px(camera, other) for other in others)
+    return apart if apart < WHEEL_PX else None
 
 
 def _listed(numbers: Sequence[int]) -> str:
@@ -204,10 +253,11 @@ def _of_size(every: Sequence[Camera], shape: tuple[int, int], *, or_refuse: bool
     if found or not every or not or_refuse:
         return found
     sizes = sorted({(camera.n_pixel, camera.n_line) for camera in every})
+    one_line = any(across == shape[1] and down == 1 for across, down in sizes)
+    remedy = SCANNER if one_line else "give the kernel of this picture's camera (--ik)"
     raise CameraError(
         f"no camera in these kernels makes {shape[1]} x {shape[0]} pixels: {_named(every)} make "
-        f"{', '.join(f'{across} x {down}' for across, down in sizes[:SHOWN])}; give the kernel of this picture's "
-        "camera (--ik)."
+        f"{', '.join(f'{across} x {down}' for across, down in sizes[:SHOWN])}; {remedy}."
     )
 
 

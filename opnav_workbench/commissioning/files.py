@@ -98,8 +98,12 @@ def write_mission(
     keywords: dict[str, Any] | None,
     match: dict[str, Any],
     heading: str,
+    lines: str = "",
 ) -> Path:
-    """Write ``mission.yaml``; without `keywords`, those of simulated pictures."""
+    """Write ``mission.yaml``; without `keywords`, those of simulated pictures. `lines` tells how many a scan has."""
+    entry: dict[str, Any] = {"file": f"cameras/{stem}.yaml", "match": match}
+    if lines:
+        entry["readout"] = {"n_line": lines}
     content = {
         "name": craft.mission,
         "spacecraft": {"name": craft.name, "id": craft.number},
@@ -107,7 +111,7 @@ def write_mission(
         "bus_frame": craft.bus_frame,
         "reference_body": "SUN",
         "default_targets": [],
-        "cameras": [{"file": f"cameras/{stem}.yaml", "match": match}],
+        "cameras": [entry],
         "keywords": WITHOUT_PICTURE if keywords is None else keywords,
     }
     path = make_folder(folder) / "mission.yaml"

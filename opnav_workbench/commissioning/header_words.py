@@ -13,7 +13,7 @@ from opnav_workbench.camera.origins import How
 from opnav_workbench.image import Header, KeywordMap
 from opnav_workbench.image.header import OF_UNIT, stated_unit_s
 
-__all__ = ["HeaderWords", "header_words", "instrument_words"]
+__all__ = ["HeaderWords", "header_words", "instrument_words", "word_of_lines"]
 
 EXPOSURES = {  # scale to seconds; None: the word itself does not say
     "XPOSURE": 1.0, "EXPTIME": 1.0, "EXPOSURE_S": 1.0, "EXPOSURE_DURATION": None, "EXPOSUREDURATION": None, "EXPOSURE": None,
@@ -51,6 +51,7 @@ FILTERS = ("FILTER_NUMBER", "FILTERNUMBER", "FILTER_NAME", "FILTERNAME", "FILTER
 CRAFTS = (
     "INSTRUMENT_HOST_NAME", "SPACECRAFT_NAME", "SPACECRAFTNAME", "TELESCOP", "HOSTNAME", "MISSION", "MISSION_NAME",
 )  # fmt: skip
+LINE_COUNTS = ("NAXIS2", "LINES", "IMAGE_LINES", "NL")
 CLOCKS = ("SPACECRAFT_CLOCK_START_COUNT", "SPACECRAFTCLOCKSTARTCOUNT", "SPCSCLK", "SCLK")
 SCALES = (1.0, 1e-3, 1e-6)
 SHORTEST_MS = 1.0  # few cameras expose less
@@ -120,6 +121,17 @@ def instrument_words(header: Header) -> tuple[tuple[str, ...], tuple[str, ...]]:
         [str(header[name]).strip() for name in names if name in header] for names in (INSTRUMENTS, FILTERS)
     )
     return tuple(filter(None, instruments)), tuple(filter(None, filters))
+
+
+def word_of_lines(header: Header, count: int) -> str:
+    """Return the word by which a header tells how many lines its picture has; empty where none does.
+
+    Examples
+    --------
+    >>> word_of_lines(Header({"NAXIS2": 5064}), 5064)
+    'NAXIS2'
+    """
+    return next((name for name in LINE_COUNTS if _number(header, name) == count), "")
 
 
 def _first(header: Header, names: tuple[str, ...]) -> str:

@@ -31,7 +31,12 @@ from opnav_workbench.commissioning.files import (
     write_mission,
     write_scenario,
 )
-from opnav_workbench.commissioning.header_words import HeaderWords, header_words, instrument_words
+from opnav_workbench.commissioning.header_words import (
+    HeaderWords,
+    header_words,
+    instrument_words,
+    word_of_lines,
+)
 from opnav_workbench.commissioning.orientation import (
     Orientation,
     orientation_by_limb,
@@ -192,7 +197,13 @@ def _made(wanted: Wanted, say: Callable[[str], None]) -> NewMission:
     shape, header = _looked_at(wanted.image)
     words = header_words(header)
     camera, told = _camera(wanted, shape, PictureWords(*instrument_words(header)))
-    maker = _Maker(wanted, _craft(wanted, camera, words.spacecraft or told), words.match, say)
+    maker = _Maker(
+        wanted,
+        _craft(wanted, camera, words.spacecraft or told),
+        words.match,
+        say,
+        word_of_lines(header, shape[0]),
+    )
     made = maker.with_picture(camera, wanted.image, words)
     return replace(made, known_mission=_known_mission(header))
 
@@ -251,6 +262,7 @@ class _Maker:
     craft: Craft
     match: dict[str, Any]
     say: Callable[[str], None]
+    lines: str = "NAXIS2"  # the word for a picture's lines, of which scans have any number
 
     def write(
         self, camera: Camera, keywords: dict[str, Any] | None, told: str, folder: Path | None = None
@@ -258,7 +270,8 @@ class _Maker:
         """Write mission and camera files."""
         heading, folder = f"Made by `opnav mission new`. {told}", folder or self.wanted.folder
         write_camera(folder, STEM, camera, heading)
-        write_mission(folder, self.craft, STEM, keywords, self.match, heading)
+        lines = self.lines if camera.scans else ""
+        write_mission(folder, self.craft, STEM, keywords, self.match, heading, lines)
 
     # -- without a picture -------------------------------------------------------------------------------------
 

@@ -364,7 +364,8 @@ def unit_of(header: Mapping[str, HeaderValue], word: str) -> str:
 SECONDS_OF_UNIT = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "msec", "msecs", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("us", "usec", "microsecond", "microseconds", "microsec", "microsecs"), 1e-6),
+    **dict.fromkeys(("us", "usec", "microsecond", "microseconds", "microsec", "microsecs", "µs", "μs"), 1e-6),
+    **dict.fromkeys(("ns", "nanosecond", "nanoseconds"), 1e-9),
     **dict.fromkeys(("min", "minute", "minutes"), 60.0),
 }
 

@@ -469,6 +469,12 @@ def read_image(
     return replace(picture, messages=(*picture.messages, *_remarks(caught)))
 
 
+DUBIOUS = '"dubious year'  # as ERFA says it, once for each of its steps
+BEYOND = "the time lies beyond the leap seconds that are known: UTC may be a second off"
+
+
 def _remarks(caught: Iterable[warnings.WarningMessage]) -> tuple[str, ...]:
     texts = (" ".join(str(warning.message).split()) for warning in caught)
-    return tuple(dict.fromkeys(f"remark while reading: {text}" for text in texts))
+    return tuple(
+        dict.fromkeys(BEYOND if DUBIOUS in text else f"remark while reading: {text}" for text in texts)
+    )

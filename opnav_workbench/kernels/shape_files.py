@@ -15,6 +15,7 @@ Sources: Wavefront, "Object files (.obj)", appendix B1 of the Advanced Visualize
 doi 10.1111/j.1945-5100.2008.tb00692.x, and the PDS Small Bodies Node's description of its ICQ files.
 """
 
+import codecs
 import os
 import re
 import struct
@@ -312,27 +313,33 @@ def _parsed(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:
     if content.startswith(CMOD_HEADERS):
         vertices, plates = read_cmod(content)
         return vertices[:, [0, 2, 1]] * np.array([-1.0, 1.0, 1.0]), plates
+    text = _text(content)
     if suffix == ".obj":
-        return _read_obj(content.decode("utf-8", errors="replace"))
-    if TABLE_START.match(content):
-        return _read_table(content)
+        return _read_obj(text)
+    if TABLE_START.match(text := COMMENT_LINES.sub("", text)):
+        return _read_table(text)
     raise ValueError(
         f"neither an OBJ file nor a cmod file, nor a table of plates (it begins with {content[:16]!r})"
     )
 
 
+def _text(content: bytes) -> str:
+    """The words of a file; editors put a mark before them that is none of them."""
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return content.decode("utf-16" if wide else "utf-8-sig", errors="replace")
+
+
 # ---- Tables of numbers: plate tables and ICQ.
 
-TABLE_START = re.compile(rb"\s*\d{1,9}(?:[ \t]+\d{1,9})?[ \t]*\r?\n")
+TABLE_START = re.compile(r"\s*\d{1,9}(?:[ \t]+\d{1,9})?[ \t]*\r?\n")
+COMMENT_LINES = re.compile(r"(?m)^[ \t]*[#;].*(?:\r?\n|\Z)")
 CORNERS = 3
 FACES = 6
 
 
-def _read_table(content: bytes) -> tuple[FloatArray, IntArray]:
+def _read_table(text: str) -> tuple[FloatArray, IntArray]:
     """Return vertices and plates of a table, by the counts in its first line and the numbers in its rows."""
-    lines = [
-        line for line in content.replace(b"D", b"E").decode("ascii", "replace").splitlines() if line.strip()
-    ]
+    lines = [line for line in text.replace("D", "E").splitlines() if line.strip()]
     counts = [int(word) for word in lines[0].split()]
     points = counts[0]
     on_cube = FACES * (points + 1) ** 2
@@ -361,7 +368,8 @@ def _plates(lines: list[str], count: int) -> IntArray:
     corners = rows[:, -CORNERS:]
     if rows.shape[1] not in (CORNERS, CORNERS + 1) or not np.array_equal(corners, np.rint(corners)):
         raise ValueError(f"plates of {rows.shape[1]} numbers, expected three whole ones")
-    return corners.astype(np.int64) - 1
+    first = 0 if corners.min() == 0.0 else 1  # some count vertices from 0
+    return corners.astype(np.int64) - first
 
 
 def _numbers(lines: list[str], columns: int | None = None) -> FloatArray:
@@ -390,11 +398,14 @@ def _from_cube(points: FloatArray, side: int) -> tuple[FloatArray, IntArray]:
     return vertices, outward[distinct]
 
 
+CONTINUED = re.compile(r"\\[ \t]*\r?\n")
+
+
 def _read_obj(text: str) -> tuple[FloatArray, IntArray]:
     vertices: list[tuple[float, float, float]] = []
     plates: list[tuple[int, int, int]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        words = line.split()
+    for number, line in enumerate(CONTINUED.sub(" ", text).splitlines(), start=1):
+        words = line.partition("#")[0].split()
         try:
             if words and words[0] == "v":
                 vertices.append((float(words[1]), float(words[2]), float(words[3])))

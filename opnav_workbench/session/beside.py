@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.camera.support_data import SupportData, read_support_data
+from opnav_workbench.constants import SPEED_OF_LIGHT_KM_S
 from opnav_workbench.errors import CameraError, OpNavError, SessionError
 from opnav_workbench.files import read_json
 from opnav_workbench.geometry import geometric_direction
@@ -113,8 +114,9 @@ def _completed(
         and data.position_km is not None
         and data.sun_position_km is not None
     ):
-        place = data.position_km - data.sun_position_km
-        velocity_km_s, sigma_km_s = _velocity(data, float(np.linalg.norm(place)))
+        away_km = float(np.linalg.norm(data.position_km - data.sun_position_km))
+        velocity_km_s, sigma_km_s = _velocity(data, away_km)
+        place = _from_sun(data, velocity_km_s)
         known = replace(
             known,
             spacecraft_from_sun_km=place,
@@ -138,26 +140,86 @@ def _is_moon(naif_id: int) -> bool:
     return (100 < naif_id < 1000 and naif_id % 100 != 99) or 10_000 <= naif_id < 100_000
 
 
-def body_beside(told: ToldBeside, name: str, observer_velocity_km_s: FloatArray) -> TargetState | None:
+def _from_sun(data: SupportData, craft_velocity_km_s: FloatArray) -> FloatArray:
+    """Return the spacecraft's place from the Sun at the time of the picture, but for the Sun's way while its light came."""
+    away = _from_body(data, craft_velocity_km_s)
+    moved = _light_s(away) * _body_velocity(
+        data, craft_velocity_km_s
+    )  # since the light left that the camera saw
+    return away - moved - _sun_from_body(data, craft_velocity_km_s)
+
+
+def _from_body(data: SupportData, craft_velocity_km_s: FloatArray) -> FloatArray:
+    """Return the spacecraft's place at the time of the picture, km from where the body was one light time before."""
+    told, places = np.asarray(data.position_km), data.places
+    body_velocity = _body_velocity(data, craft_velocity_km_s)
+    seconds = _light_s(told)
+    delay = _delay_s(data)
+    if places.craft_observes:
+        seen = -_unaberrated(-told, craft_velocity_km_s) if places.aberration else told
+        return seen + (seconds - delay) * body_velocity
+    seen = _unaberrated(told, body_velocity) if places.aberration else told
+    return seen + delay * craft_velocity_km_s + seconds * body_velocity
+
+
+def _delay_s(data: SupportData) -> float:
+    """How long before the picture the one stood, in the data's convention, that the other observes."""
+    if not data.places.light_time:
+        return 0.0
+    radius_km = 0.0 if data.radii_km is None or not data.places.to_surface else float(np.mean(data.radii_km))
+    return _light_s(np.asarray(data.position_km)) - radius_km / SPEED_OF_LIGHT_KM_S
+
+
+def _sun_from_body(data: SupportData, craft_velocity_km_s: FloatArray) -> FloatArray:
+    """Return the Sun's place from the body: the body observes it, whatever the spacecraft's place is corrected for."""
+    return _unaberrated(np.asarray(data.sun_position_km), _body_velocity(data, craft_velocity_km_s))
+
+
+def _unaberrated(apparent_km: FloatArray, observer_velocity_km_s: FloatArray) -> FloatArray:
+    range_km = float(np.linalg.norm(apparent_km))
+    return range_km * geometric_direction(apparent_km / range_km, observer_velocity_km_s)
+
+
+def _body_velocity(data: SupportData, craft_velocity_km_s: FloatArray) -> FloatArray:
+    return craft_velocity_km_s - (np.zeros(3) if data.velocity_km_s is None else data.velocity_km_s)
+
+
+def _light_s(place_km: FloatArray) -> float:
+    return float(np.linalg.norm(place_km)) / SPEED_OF_LIGHT_KM_S
+
+
+def body_beside(
+    told: ToldBeside, name: str, observer_velocity_km_s: FloatArray, velocity_sigma_km_s: float = 0.0
+) -> TargetState | None:
     """Return the body that support data are about, as the spacecraft sees it; None where they do not tell its place.
 
-    The place that they have is the apparent one, since mapping programs correct neither light time nor aberration.
+    Light time and aberration are taken back as the data's own words say they were applied (`PlaceConvention`). Where the
+    body observed, or nobody, velocities from the Sun are in its range, and the error of these in its covariance; its
+    direction as the camera sees it depends on none.
 
     Parameters
     ----------
     observer_velocity_km_s : (3,) array
         With respect to the solar-system barycenter.
+    velocity_sigma_km_s
+        Of each axis of it.
     """
     data = told.data
     if data.position_km is None:
         return None
-    range_km = float(np.linalg.norm(data.position_km))
-    direction = geometric_direction(-np.asarray(data.position_km) / range_km, observer_velocity_km_s)
-    radii = data.radii_km
+    away, radii = _from_body(data, observer_velocity_km_s), data.radii_km
+    seconds, delay = _light_s(np.asarray(data.position_km)), _delay_s(data)
+    along_s = seconds - delay if data.places.craft_observes else seconds + delay
+    across_s = 0.0 if data.places.aberration else delay
+    sight = np.outer(away, away) / float(away @ away)
+    shares = along_s**2 * sight + across_s**2 * (np.eye(3) - sight)
     return TargetState(
         name,
-        direction * range_km,
+        -away,
         radii_km=None if radii is None else np.array([radii[0], radii[0], radii[1]]),
         body_from_j2000=data.body_from_j2000,
-        sun_position_km=data.sun_position_km,
+        sun_position_km=None
+        if data.sun_position_km is None
+        else _sun_from_body(data, observer_velocity_km_s),
+        covariance_km2=velocity_sigma_km_s**2 * shares if velocity_sigma_km_s > 0.0 else None,
     )

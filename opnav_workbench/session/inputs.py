@@ -525,7 +525,8 @@ def _told_body(context: Context, inputs: Inputs, name: str) -> TargetState | Non
     header_target = None if picture.keywords is None else picture.keywords.value(picture.header, "target")
     if header_target is not None and str(header_target).casefold() != name.casefold():
         return None
-    target = beside.body_beside(told, name, np.asarray(inputs.observer.velocity_km_s))
+    observer = inputs.observer
+    target = beside.body_beside(told, name, np.asarray(observer.velocity_km_s), observer.velocity_sigma_km_s)
     return None if target is None else context.mission.with_magnitude(target)
 
 

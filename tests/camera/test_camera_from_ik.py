@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from opnav_workbench.camera import Camera, NoDistortion, PsfPrior, SipDistortion
 from opnav_workbench.errors import CameraError
+from opnav_workbench.kernels import KernelSet, instrument_values
 from opnav_workbench.resources import kernels_meta_dir
 
 FOV = {
@@ -327,6 +328,19 @@ def corners(x: float, y: float, turn=None) -> list[float]:
     return (vectors if turn is None else vectors @ np.asarray(turn).T).ravel().tolist()
 
 
+@pytest.mark.realdata
+def test_a_line_of_lroc_has_the_distortion_that_its_kernel_says(data_dir):
+    """lro_lroc_v18.ti, "LROC NAC Distortion Model Parameters": xc = xd / (1 + k1 r^2), one coefficient."""
+    with KernelSet([data_dir / "spice/instruments/lro_lroc/lro_lroc_v18.ti"]):
+        camera = Camera.from_ik(instrument_values(-85600), -85600)
+    pixels = np.linspace(0.0, 5063.0, 99)
+    directions = camera.unproject(np.column_stack([pixels, np.full(99, camera.center_pixel_line[1])]))
+    measured_mm = (pixels + 1.0 - 2548.0) * 7.0e-3  # BORESIGHT_SAMPLE, PIXEL_PITCH
+    corrected_mm = measured_mm / (1.0 + 1.81e-5 * measured_mm**2)
+    along = directions @ camera.focal_from_camera[0] / (directions @ camera.boresight) * 699.62
+    np.testing.assert_allclose(along, corrected_mm, rtol=0, atol=1e-5 * 7.0e-3)
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -371,7 +385,7 @@ def test_an_ifov_in_the_unit_that_makes_the_field_of_view(ifov):
 def test_units_that_make_another_field_of_view_are_refused(changes):
     with pytest.raises(
         CameraError,
-        match=r"deg, but the kernel's field of view is .* deg; check the units and the number of pixels, or give",
+        match=r"deg, but the kernel.s field of view is [0-9.]+ x [0-9.]+ deg.*; check the units and the number",
     ):
         by_hand(**changes)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.camera import BrownDistortion, Camera, NoDistortion
-from opnav_workbench.camera.support_data import SupportData, read_support_data, support_data
+from opnav_workbench.camera.support_data import PlaceConvention, SupportData, read_support_data, support_data
 from opnav_workbench.errors import CameraError
 from opnav_workbench.files import read_json, write_json
 from opnav_workbench.geometry import rotation_from_vector
@@ -55,6 +55,9 @@ def test_what_is_written_sees_the_sky_where_the_camera_does(tmp_path, name):
     np.testing.assert_allclose(again.position_km, said(camera).position_km)
     np.testing.assert_allclose(again.body_from_j2000, said(camera).body_from_j2000, atol=1e-12)
     np.testing.assert_allclose(again.radii_km, [482.0, 446.0])
+    assert again.places == PlaceConvention(
+        craft_observes=True
+    )  # ISIS' and ALE's own words, read by them, too
 
 
 def test_missing_geometry_and_other_sensors_are_refused_in_one_line(tmp_path):
@@ -64,7 +67,8 @@ def test_missing_geometry_and_other_sensors_are_refused_in_one_line(tmp_path):
     data = support_data(said(camera))
     for changes, message in (
         ({"name_model": "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"}, "only frame cameras"),
-        ({"detector_center": {"line": None, "sample": 1.0}}, "lack or spoil"),
+        ({"detector_center": {"line": None, "sample": 1.0}}, "line is null; a number is needed"),
+        ({"detector_center": {"sample": 1.0}}, "lack or spoil 'line'"),
         ({"focal_length_model": {"focal_length": 0.12}}, "seems to be in m"),
         ({"optical_distortion": {"lunarorbiter": {"perspective_x": 1e-6}}}, "type lunarorbiter is not read"),
     ):
@@ -100,6 +104,9 @@ CASES = {
     ),
     "hayabusa2_isd": Known("slices/hyb2_onc_20151203_084458_w2f_l2a", -37120, {}, 0.5, True, f"{BASE}; {DROPPED}"),
     "clem_uvvis_isd": Known("instruments/clementine_uvvis", -40021, {}, 0.5, True, f"{BASE}; {DROPPED}"),
+    "mexsrc_isd": Known(
+        "instruments/mex_hrsc", -41220, {"n_pixel": 1008, "n_line": 1008, "center_pixel_line": (511.5, 511.5)}
+    ),
     "cassis_isd": Known("instruments/tgo_cassis", -143400, {}, 0.5, True, f"{BASE}; {DROPPED}"),
     "juno_isd": Known("instruments/juno_junocam", -61500, {}, 0.0, True, DROPPED),
     "galileossi_isd": Known(
@@ -125,7 +132,7 @@ def test_cameras_from_kernels_agree_with_ale_to_a_fiftieth_pixel(data_dir, name)
     """Over the whole detector, once the differences that `CASES` explains are taken out."""
     case = CASES[name]
     theirs = read_support_data(data_dir / f"spice/instruments/isds/{name}.json").camera
-    files = [p for p in (data_dir / "spice" / case.folder).iterdir() if p.suffix in (".ti", ".tf")]
+    files = [p for p in (data_dir / "spice" / case.folder).iterdir() if p.suffix.lower() in (".ti", ".tf")]
     with KernelSet(sorted(files, key=lambda p: ("ddendum" in p.name, p.name))):
         ours = Camera.from_ik(instrument_values(case.instrument_id), case.instrument_id, **case.given)
     if case.without_distortion:  # with it goes what it moves the boresight by
@@ -213,8 +220,41 @@ FILES |= {
         lambda camera: replace(_centered_at(511.0, 511.0)(_undistorted(camera)), pixel_from_mm=np.eye(2) / 0.0085),
         0.0, "ALE takes OD_K of the cameras' own law for coefficients of its radial one; pixels and center of the addendum",
     ),
+    "cassiniiss_isd": (
+        "cassini", "iss_nac",
+        lambda camera: replace(
+            camera, focal_length_mm=2003.09,
+            distortion=BrownDistortion(camera.distortion.focal_mm, k1=-camera.distortion.k1),
+        ),
+        0.0, "focal length of the filters CL1, UV3; ALE has barrel distortion where stars show pincushion (Owen 2003)",
+    ),
+    "cassiniiss_isis_isd": (
+        "cassini", "iss_nac", lambda camera: replace(_undistorted(camera), focal_length_mm=2003.09), 0.5,
+        f"focal length of the filters CL1, UV3; {BASE}; {DROPPED}",
+    ),
+    "msi_isd": (
+        "near", "msi",
+        lambda camera: replace(
+            _centered_at(268.0, 205.5)(camera), n_line=412, pixel_from_mm=np.diag([62.5, -62.5]), focal_length_mm=166.85
+        ),
+        0.5,
+        f"{BASE}; calibrated pictures of 412 square lines, the first below; ours are 244 as read out; 166.85 mm, not 167",
+    ),
 }  # fmt: skip
-TURNED = {"nhlorri_isd": np.diag([1.0, 1.0, -1.0])}  # LORRI looks along -Z, ALE's sensors along +Z
+# What turns directions of ALE's sensor into those of our camera's frame.
+TURNED = {
+    "nhlorri_isd": np.diag([1.0, 1.0, -1.0]),  # LORRI looks along -Z, ALE's sensors along +Z
+    # Frame CASSINI_ISS_NAC_USGS of the addendum
+    "cassiniiss_isd": np.diag([-1.0, -1.0, 1.0]),
+    "cassiniiss_isis_isd": np.diag([-1.0, -1.0, 1.0]),
+    "msi_isd": np.array(  # our frame is that of the bus, whose attitude headers give: ALE's constant_rotation
+        [
+            [-0.0014422521585655882, 6.97819591591179e-07, 0.9999989599535712],
+            [-0.00048384015636002327, -0.9999998829493447, 0.0],
+            [0.9999988429030378, -0.00048383965314379655, 0.0014422523273822038],
+        ]
+    ),
+}
 
 
 @pytest.mark.realdata

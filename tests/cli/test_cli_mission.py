@@ -220,6 +220,7 @@ def test_a_new_mission_may_be_a_line_scanner(tmp_path, monkeypatch):
     code, said = run("mission", "new", "told", *scanner)
     assert (code, "opnav kernels make told/star_fields.yaml" in said) == (0, True)  # a scan wants its motion
     assert load_mission("told").camera_named("camera").rows == RowTiming(0.1, 255.5)
+    assert load_mission("told").camera_for({"NAXIS2": 300}).n_line == 300  # scans have any length
     shutil.copytree("told", "flown")
     camera = Camera.from_yaml("flown/cameras/camera.yaml")
     replace(camera, focal_from_camera=PIXEL_ALONG_MINUS_Y).to_yaml("flown/cameras/camera.yaml")

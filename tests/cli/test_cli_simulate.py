@@ -2,12 +2,16 @@
 
 import json
 import shlex
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
 
 from opnav_workbench.cli import app
 from opnav_workbench.cli.program import main
+from opnav_workbench.cli.simulate import _next_command
+from opnav_workbench.simulation import load_picture_scenario
 
 WIDE = {"COLUMNS": "160", "NO_COLOR": "1", "TERM": "dumb"}
 SCENARIO = """\
@@ -129,3 +133,15 @@ def test_help_has_an_example():
     answer = invoke("--help")
     assert answer.exit_code == 0
     assert "opnav simulate new_horizons/pluto_charon" in answer.output
+
+
+def test_the_next_command_asks_for_no_body_that_was_not_drawn():
+    """Star fields of missions whose files name a target: its kernels are not among those made for the stars."""
+    report = SimpleNamespace(files=[Path("out/a.fit")])
+    for name, bare in (
+        ("near/star_fields", True),
+        ("dawn/star_fields", False),
+        ("new_horizons/pluto_charon", False),
+    ):
+        said = _next_command(load_picture_scenario(name), Path("out"), [report])
+        assert said.endswith("--targets none") is bare

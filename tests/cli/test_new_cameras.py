@@ -61,6 +61,33 @@ def test_a_scan_has_any_number_of_lines(kernel):
     assert camera_of_kernels(kernel, "-999100", (7, 1024), Numbers(scans=True)).n_pixel == 1024
 
 
+def test_a_line_of_pixels_is_a_scanner_s(tmp_path):
+    """As kernels of CTX and HRSC have them, PIXEL_LINES = 1: no frame, and a scan has lines of its own number."""
+    path, one = (
+        tmp_path / "scan.ti",
+        camera(-74021, "CTX", 5000).replace("PIXEL_LINES = 5000", "PIXEL_LINES = 1"),
+    )
+    path.write_text(KERNEL + one.replace("CROSS_ANGLE = 2.0", "CROSS_ANGLE = 0.0004") + "\\begintext\n")
+    for shape in (None, (700, 5000)):
+        with pytest.raises(CameraError, match="a line scanner\\? --line-scan --line-time-s"):
+            camera_of_kernels([str(path)], None, shape, Numbers())
+    for numbers, shape, lines in (
+        (Numbers(scans=True), None, 1024),
+        (Numbers(scans=True), (700, 5000), 700),
+        (Numbers(scans=True, size=(5000, 300)), None, 300),
+    ):
+        made = camera_of_kernels([str(path)], None, shape, numbers)
+        assert (made.n_pixel, made.n_line, made.center_pixel_line[1]) == (5000, lines, 0.0)
+
+
+def test_a_focal_length_in_m_is_told(tmp_path):
+    path = tmp_path / "metres.ti"
+    words = "INS-74699_FOCAL_LENGTH = 12.0\nINS-74699_PIXEL_PITCH = 0.012\n"
+    path.write_text(KERNEL + camera(-74699, "HIRISE", 2048, 0.0586) + words + "\\begintext\n")
+    with pytest.raises(CameraError, match="a focal length in m, or pixels in um"):
+        camera_of_kernels([str(path)], None, None, Numbers())
+
+
 @pytest.fixture
 def filters(tmp_path):
     """Two cameras of one size; each has a clear filter like the camera itself, and two of other lengths."""
@@ -86,6 +113,12 @@ def test_a_picture_s_words_choose_camera_and_filter(filters):
         chosen(("FC2",), ("CLEAR",))
     with pytest.raises(CameraError, match=r"8 cameras"):
         chosen(("another",), ("7",))
+    guess = chosen(("FC2",), ())  # no word of a filter: the camera itself, and what that may cost
+    assert guess.instrument_id == -999200
+    (said,) = (o.text for o in guess.origins if o.field == "instrument_id")
+    assert "with one of the 3 others places are up to 3.6 px off" in said
+    with pytest.raises(CameraError, match=r"8 cameras"):
+        chosen()
 
 
 def test_filters_of_the_same_optics_are_one_camera(tmp_path):

@@ -443,6 +443,13 @@ def test_the_scale_of_fits_times(tmp_path, scale, early_s):
     assert et_from_text(read.utc) == pytest.approx(read.et, abs=0.001)
 
 
+def test_a_time_beyond_the_known_leap_seconds_is_said_once(tmp_path):
+    """Missions that are planned for the 2030s; ERFA says it for each of its steps."""
+    path = write(tmp_path / "a.fit", head=header(SCET=None, UTC="2061-07-28T12:00:00.000"))
+    (said,) = (m for m in read_image(path, KEYWORDS).messages if "leap" in m or "dubious" in m)
+    assert said.startswith("the time lies beyond the leap seconds")
+
+
 @pytest.mark.parametrize("behind", [b"", b"more"], ids=["plain", "by astropy"])
 def test_words_that_stand_twice(tmp_path, behind):
     """Of the same value they are as one; of two values, where the mission asks for the word, they contradict."""

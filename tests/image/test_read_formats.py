@@ -327,6 +327,28 @@ class TestRaw:
         np.testing.assert_array_equal(picture.image_dn, PIXELS)
         check_sidecar(picture)
 
+    @pytest.mark.parametrize(("bits", "order"), [(10, "little"), (12, "little"), (12, "big"), (14, "big")])
+    def test_packed_samples(self, tmp_path, bits, order):
+        """Bit after bit, as NumPy packs them; a line of 19 samples ends within a byte."""
+        path, pixels = tmp_path / "a.raw", RNG.integers(0, 1 << bits, (12, 19))
+        pixels[3, 4] = (1 << bits) - 1
+        places = np.arange(bits) if order == "little" else np.arange(bits)[::-1]
+        each = (pixels[..., None] >> places & 1).astype(np.uint8).reshape(12, -1)
+        path.write_bytes(b"\7" * 6 + np.packbits(each, axis=1, bitorder=order).tobytes())
+        layout = {
+            "lines": 12,
+            "samples": 19,
+            "sample_type": f"uint{bits}",
+            "byte_order": order,
+            "header_bytes": 6,
+        }
+        path.with_suffix(".json").write_text(json.dumps(SIDECAR | layout))
+        picture = read_image(path, MISSION)
+        np.testing.assert_array_equal(picture.image_dn, pixels)
+        assert picture.saturated[3, 4]
+        path.write_bytes(b"\7" * 6 + pixels.astype("<u2").tobytes())
+        assert "two bytes a sample; write sample_type: uint16" in error_of(path)
+
     def test_named_by_its_sidecar(self, tmp_path):
         (tmp_path / "pixels.dat").write_bytes(
             np.moveaxis([PIXELS, PIXELS + 1, PIXELS + 2], 0, 2).astype("<u2").tobytes()
@@ -455,6 +477,20 @@ class TestPds4:
         special = f"<Special_Constants><missing_constant>0x{bits:X}</missing_constant></Special_Constants>"
         path.write_bytes(pds4_label("a.dat", (12, 20), kind, more=special))
         assert np.argwhere(read_image(path, self.KEYWORDS).bad).tolist() == [[3, 4]]
+
+    @pytest.mark.parametrize("label_name", ["ce5_0001.2CL", "ce5_0001.lblx", "ce5_0001.XML"])
+    def test_labels_of_other_agencies(self, tmp_path, label_name):
+        """China's are named like their data with an L, ESA's name the PDS's space and may be in UTF-16."""
+        data = tmp_path / "ce5_0001.2C"
+        data.write_bytes(PIXELS.astype(">i2").tobytes())
+        label, path = pds4_label("ce5_0001.2C", (12, 20), "SignedMSB2").decode(), tmp_path / label_name
+        label = label.replace("<Product_Obs", "<p:Product_Obs").replace("</Product_Obs", "</p:Product_Obs")
+        label = label.replace("xmlns=", "xmlns:p=").replace('unit="ms">90.0', 'unit="ns">9e7')
+        path.write_bytes(label.encode("utf-16" if label_name.endswith("XML") else "utf-8"))
+        picture = read_image(path, self.KEYWORDS)
+        np.testing.assert_array_equal(picture.image_dn, 0.5 * PIXELS + 10.0)
+        assert picture.exposure_s == pytest.approx(0.09)
+        assert error_of(data).endswith(f"give its label {label_name}.")
 
     def test_a_fits_file_that_a_label_describes(self, tmp_path):
         fits.PrimaryHDU(PIXELS.astype(">i2")).writeto(tmp_path / "a.fits")

@@ -216,6 +216,23 @@ def test_plate_tables(tmp_path, kind):
     np.testing.assert_array_equal(plates, PLATES)
 
 
+def test_what_editors_and_other_programs_make_of_a_shape(tmp_path):
+    """Comments, vertices counted from 0, marks of an encoding, and lines that go on in the next one."""
+    rows = [f"{i} {x:.3f} {y:.3f} {z:.3f}" for i, (x, y, z) in enumerate(CORNERS)]
+    rows += [f"{i} {' '.join(map(str, plate))}" for i, plate in enumerate(PLATES)]
+    obj = "".join(f"v {x} {y} {z}  # a corner\n" for x, y, z in CORNERS.tolist())
+    obj += "".join("f {} {} \\\n  {} # a plate\n".format(*(plate + 1)) for plate in PLATES)
+    for name, content in (
+        ("zero.plt", "\n".join(["# made by hand", f"{len(CORNERS)} {len(PLATES)}", *rows]).encode()),
+        ("mark.obj", b"\xef\xbb\xbf" + obj.encode()),
+        ("wide.obj", obj.encode("utf-16")),
+    ):
+        (tmp_path / name).write_bytes(content)
+        vertices, plates = read_shape(tmp_path / name)
+        np.testing.assert_allclose(vertices, CORNERS)
+        np.testing.assert_array_equal(plates, PLATES)
+
+
 def icq_text(side: int, radii: tuple[float, float, float]) -> str:
     """The points of a cube's faces, drawn onto an ellipsoid; each face begins at another corner and may be mirrored."""
     ends = np.linspace(-1.0, 1.0, side + 1)

@@ -5,6 +5,7 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
+import codecs
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -76,8 +77,16 @@ class Pds4Label:
 
 def is_pds4(data: bytes) -> bool:
     """Tell from the first bytes whether this is a PDS4 label."""
-    start = data[:LONGEST_PREAMBLE_BYTES].lstrip(b"\xef\xbb\xbf \t\r\n")
+    start = data[:LONGEST_PREAMBLE_BYTES]
+    if _is_wide(data):
+        start = start.decode("utf-16", errors="ignore").encode()
+    start = start.lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(b"<") and ROOT.search(start) is not None
+
+
+def _is_wide(data: bytes) -> bool:
+    """Tell whether a label is in UTF-16, whatever encoding it says it has."""
+    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
 
 
 def pds4_label(name: str, data: bytes) -> Pds4Label:
@@ -124,7 +133,7 @@ def _parsed(name: str, data: bytes) -> _Element:
     def text(characters: str) -> None:
         open_elements[-1].text += characters
 
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-16" if _is_wide(data) else None)
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, text

@@ -37,7 +37,7 @@ PACKED = {
     b"\x1f\x9d": "compress",
     b"Rar!": "RAR",
 }
-LABELS = (".lbl", ".LBL", ".xml", ".XML")
+LABELS = (".lbl", ".LBL", ".xml", ".XML", ".lblx", ".LBLX")
 
 
 def read_stored(file: Path, data: bytes, keywords: KeywordMap) -> tuple[Path, StoredPicture]:
@@ -163,7 +163,9 @@ def _refuse_without_words(file: Path, source: StoredPicture, keywords: KeywordMa
 
 
 def _unknown(file: Path, data: bytes) -> Exception:
-    label = next((file.with_suffix(s) for s in LABELS if is_file(file.with_suffix(s))), None)
+    # China's archives have a.2C and a.2CL.
+    beside = (*(file.with_suffix(s) for s in LABELS), file.with_name(f"{file.name}L"))
+    label = next((path for path in beside if path != file and is_file(path)), None)
     if label is not None:
         return image_error(file.name, f"has no header of its own; give its label {label.name}.")
     packed = next((kind for start, kind in PACKED.items() if data.startswith(start)), None)

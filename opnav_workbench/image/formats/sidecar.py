@@ -16,7 +16,9 @@ and a row for each picture, told by ``file``.
 ``sclk``, ``target``, ``instrument``
     Texts.
 ``lines``, ``samples``, ``sample_type``, ``byte_order``, ``offset_bytes``, ``line_prefix_bytes``, ``line_suffix_bytes``
-    The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP).
+    The layout of a raw file; of several ``channels`` also how they are interleaved (``interleave``: BSQ, BIL, BIP). Types
+    ``uint10``, ``uint12`` and ``uint14`` are packed, bit after bit, lowest first where the byte order is little (GenICam's
+    Mono12p), else highest first; each line begins with a byte. Such numbers in two bytes each are ``uint16``.
 
 Image support data of a Community Sensor Model (ALE's JSON) are a sidecar, too, and tell the time here; what they tell of
 attitude, states and body the session takes from them (`opnav_workbench.session.beside`).
@@ -32,6 +34,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from opnav_workbench.files import json_value
@@ -66,6 +69,7 @@ SAMPLE_TYPES = {
     "uint8": "u1", "int8": "i1", "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+PACKED_BITS = {"uint10": 10, "uint12": 12, "uint14": 14}
 DECIMALS = 6  # of a second, of times that are shifted
 # Other names of the layout's words; they can mean nothing else.
 LAYOUT_WORDS = {
@@ -73,6 +77,7 @@ LAYOUT_WORDS = {
     **dict.fromkeys(("columns", "cols", "width", "ns", "n_pixel", "n_samples"), "samples"),
     **dict.fromkeys(("dtype", "data_type"), "sample_type"),
     **dict.fromkeys(("byteorder", "endian", "endianness"), "byte_order"),
+    **dict.fromkeys(("offset", "header_bytes", "skip_bytes"), "offset_bytes"),
 }
 # What others call the words above. Their unit, order or sense may be another: they are not taken, but named.
 LIKELY_WORDS = {
@@ -107,7 +112,9 @@ def _numbers(value: Any) -> Any:
 def _sample_type(value: Any) -> Any:
     """Return a sample type by its name here, as NumPy writes it (``<u2``), or in capitals."""
     name = str(value).strip().lower().lstrip("<>=|")
-    name = "uint8" if name == "byte" else name
+    name = {"byte": "uint8", "mono10p": "uint10", "mono12p": "uint12", "mono14p": "uint14"}.get(name, name)
+    if name in PACKED_BITS:
+        return name
     return next((known for known, code in SAMPLE_TYPES.items() if name in (known, code)), value)
 
 
@@ -140,7 +147,19 @@ class Sidecar(BaseModel):
     lines: Positive | None = None
     samples: Positive | None = None
     sample_type: Annotated[
-        Literal["uint8", "int8", "uint16", "int16", "uint32", "int32", "float32", "float64"],
+        Literal[
+            "uint8",
+            "int8",
+            "uint16",
+            "int16",
+            "uint32",
+            "int32",
+            "float32",
+            "float64",
+            "uint10",
+            "uint12",
+            "uint14",
+        ],
         BeforeValidator(_sample_type),
     ] = "uint16"
     byte_order: Annotated[Literal["little", "big"], BeforeValidator(_byte_order)] = "little"
@@ -410,12 +429,23 @@ def read_raw(name: str, data: bytes, sidecar: Sidecar, sidecar_name: str) -> Sto
             "or state lines, samples, sample_type and byte_order there.",
         )
     image = read_raster(name, data, layout)
+    bits = PACKED_BITS.get(sidecar.sample_type)
+    if bits is not None:
+        if sidecar.channels > 1:
+            raise image_error(
+                name, f"{sidecar.sample_type} of {sidecar.channels} channels is not read; unpack it."
+            )
+        if len(data) - layout.offset == 2 * layout.lines * int(sidecar.samples or 0):
+            raise image_error(name, f"has two bytes a sample; write sample_type: uint16 into {sidecar_name}.")
+        image = _unpacked(image, int(sidecar.samples or 0), bits, lowest_first=sidecar.byte_order == "little")
     behind = len(data) - layout.offset - layout.records * (layout.prefix + layout.line_bytes + layout.suffix)
     remarks = (
         (f"{behind} bytes behind the samples that {sidecar_name} tells are left aside",) if behind else ()
     )
     names = ("red", "green", "blue") if layout.bands == 3 else ()
     saturated = full_scale(image) if image.ndim == 2 else None
+    if bits is not None:
+        saturated = image == (1 << bits) - 1
     return StoredPicture(image, {}, saturated=saturated, channels=names, messages=remarks)
 
 
@@ -423,13 +453,29 @@ def _layout(sidecar: Sidecar) -> Raster | None:
     if sidecar.lines is None or sidecar.samples is None:
         return None
     order = "<" if sidecar.byte_order == "little" else ">"
+    bits = PACKED_BITS.get(sidecar.sample_type)
     return Raster(
         sidecar.lines,
-        sidecar.samples,
-        np.dtype(order + SAMPLE_TYPES[sidecar.sample_type]),
+        sidecar.samples if bits is None else -(-sidecar.samples * bits // 8),  # as bytes, unpacked later
+        np.dtype(order + SAMPLE_TYPES.get(sidecar.sample_type, "u1")),
         sidecar.channels,
         sidecar.interleave,
         sidecar.offset_bytes,
         sidecar.line_prefix_bytes,
         sidecar.line_suffix_bytes,
     )
+
+
+def _unpacked(
+    packed: NDArray[np.uint8], samples: int, bits: int, *, lowest_first: bool
+) -> NDArray[np.uint16]:
+    """Return samples (n_line, n_pixel) of lines of bytes (n_line, n) that hold them bit after bit."""
+    first = np.arange(samples) * bits
+    at, shift = first // 8, (first % 8).astype(np.uint32)
+    bytes_ = np.pad(packed, ((0, 0), (0, 2))).astype(np.uint32)  # a sample lies in three at most
+    one, two, three = bytes_[:, at], bytes_[:, at + 1], bytes_[:, at + 2]
+    if lowest_first:
+        run = (one | two << 8 | three << 16) >> shift
+    else:
+        run = (one << 16 | two << 8 | three) >> (np.uint32(24 - bits) - shift)
+    return (run & np.uint32((1 << bits) - 1)).astype(np.uint16)
