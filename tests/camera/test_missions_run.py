@@ -1,7 +1,6 @@
 """Missions out of the box: each has a scenario of star fields, from which a picture is simulated and solved.
 
-Some of them with --all; every camera of all missions by ``python tests/camera/test_missions_run.py`` (a minute). A
-framelet of LROC's wide angle camera has 14 lines and shows a star or two: it is simulated, and not solved.
+Some of them with --all; every camera of all missions by ``python tests/camera/test_missions_run.py`` (a minute).
 """
 
 import sys
@@ -21,7 +20,7 @@ from opnav_workbench.simulation.truth import read_truth
 
 SCENARIO = "star_fields"
 MISSIONS = [name for name in mission_names() if f"{name}/{SCENARIO}" in picture_scenario_names()]
-QUICK = ("galileo", "voyager1", "voyager2")  # small detectors
+QUICK = ("galileo", "lro", "voyager1", "voyager2")  # small detectors
 
 
 def test_missions_come_with_star_fields_and_a_manifest():
