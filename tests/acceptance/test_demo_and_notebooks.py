@@ -52,7 +52,11 @@ def test_demo_is_bit_identical_when_repeated(demo, tmp_path):
 
 @pytest.mark.slow
 def test_demo_statistics_over_seeds(tmp_path):
-    """Errors over predicted sigmas of many demos: standard deviation near one, no outlier."""
+    """Errors over predicted sigmas of many demos: standard deviation near one, no outlier.
+
+    Of a disk as small as Pluto's (1 px) no picture tells what its hemispheres differ by: the sigma has it, the demo's even
+    surface has not.
+    """
     import numpy as np
 
     from opnav_workbench.kernels import KernelSet
@@ -78,11 +82,13 @@ def test_demo_statistics_over_seeds(tmp_path):
             truth = simulate_picture(request.reseeded(seed), mission, DEMO_CATALOG, tmp_path / str(seed))
             outcome = process_image(truth.picture, how, None)  # no files: a third of the time is their figure
             assert outcome.result["status"] == "ok", outcome.result["messages"]
-            errors.append([row.sigmas for row in compare(truth, outcome.result, camera)])
-    scatter = np.array(errors)
-    # 10 trials of 7 quantities: the standard deviation of a unit normal is known to 8.5 % from 70 values; 3 of these.
-    assert scatter.shape == (10, 7)
-    assert 0.75 < scatter.std() < 1.25
+            rows = compare(truth, outcome.result, camera)
+            errors.append([row.sigmas for row in rows])
+    scatter, of_disk = np.array(errors), np.array([row.name.startswith("PLUTO") for row in rows])
+    # 10 trials of 5 quantities: the standard deviation of a unit normal is known to 10 % from 50 values; 3 of these.
+    assert (scatter.shape, of_disk.sum()) == ((10, 7), 2)
+    assert 0.7 < scatter[:, ~of_disk].std() < 1.3
+    assert scatter[:, of_disk].std() < 1.3
     assert np.abs(scatter).max() < 4.5
 
 
