@@ -1,5 +1,6 @@
 """Files: written whole or not at all, and never outside the folder they belong to."""
 
+import codecs
 import contextlib
 import hashlib
 import json
@@ -18,11 +19,13 @@ from opnav_workbench.paths import exists, is_file, is_folder, regular_size
 
 __all__ = [
     "atomic_path",
+    "decoded",
     "digest",
     "files_named",
     "fitting_name",
     "given_cell",
     "inside",
+    "is_utf16",
     "json_text",
     "json_value",
     "make_folder",
@@ -191,6 +194,22 @@ def text_of(path: str | os.PathLike[str]) -> str:
     if size > LARGEST_TEXT_BYTES:
         raise OSError(f"{size} bytes, more than {LARGEST_TEXT_BYTES}")
     return Path(path).read_text(encoding="utf-8")
+
+
+def is_utf16(data: bytes) -> bool:
+    """Tell by the mark at the beginning of a text whether it is in UTF-16."""
+    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+
+
+def decoded(data: bytes, errors: str = "strict") -> str:
+    """Return a text that editors may have put a mark before, which is none of its words: UTF-16, or UTF-8.
+
+    Examples
+    --------
+    >>> decoded("a".encode("utf-8-sig")), decoded("a".encode("utf-16"))
+    ('a', 'a')
+    """
+    return data.decode("utf-16" if is_utf16(data) else "utf-8-sig", errors=errors)
 
 
 def json_value(text: str | bytes) -> Any:

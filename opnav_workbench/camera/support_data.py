@@ -323,7 +323,6 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
         raise CameraError(f"image support data need {', '.join(missing)}; load the kernels that give them.")
     camera = data.camera
     attitude = _sensor_axes(camera) @ data.camera_from_j2000
-    matrix = camera.pixel_from_mm * _handedness(camera)
     return {
         "isis_camera_version": 1,
         "image_lines": camera.n_line,
@@ -349,20 +348,26 @@ def support_data(data: SupportData, target_frame: int = 0) -> dict[str, Any]:
             **({"BODY_CODE": target_frame} if target_frame else {}),
             **_told_convention(camera.instrument_id, data.places),
         },
+        **_told_optics(camera),
+        "instrument_position": _moving(needed["position_km"], data.velocity_km_s, data.et),
+        "sun_position": _moving(needed["sun_position_km"], data.sun_velocity_km_s, data.et),
+    }
+
+
+def _told_optics(camera: Camera) -> dict[str, Any]:
+    """The words of the detector and the lens."""
+    pixel, line = (float(center) + FIRST_CENTER for center in camera.center_pixel_line)
+    matrix = camera.pixel_from_mm * _handedness(camera)
+    return {
         "detector_sample_summing": 1,
         "detector_line_summing": 1,
         "focal_length_model": {"focal_length": camera.focal_length_mm},
-        "detector_center": {
-            "line": float(camera.center_pixel_line[1]) + FIRST_CENTER,
-            "sample": float(camera.center_pixel_line[0]) + FIRST_CENTER,
-        },
+        "detector_center": {"line": line, "sample": pixel},
         "starting_detector_line": 0,
         "starting_detector_sample": 0,
         "focal2pixel_samples": [0.0, *matrix[0].tolist()],
         "focal2pixel_lines": [0.0, *matrix[1].tolist()],
         "optical_distortion": _told_distortion(camera),
-        "instrument_position": _moving(needed["position_km"], data.velocity_km_s, data.et),
-        "sun_position": _moving(needed["sun_position_km"], data.sun_velocity_km_s, data.et),
     }
 
 

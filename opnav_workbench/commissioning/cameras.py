@@ -135,10 +135,8 @@ def _scanned(camera: Camera, size: tuple[int, int] | None) -> Camera:
     if size is not None and size[0] == camera.n_pixel:
         told = Origin("n_line", "known", f"{size[1]}, the scan's")
     elif camera.n_line == 1:
-        size, told = (
-            (camera.n_pixel, SCAN_LINES),
-            Origin("n_line", "guessed", f"{SCAN_LINES}; scans have any length"),
-        )
+        size = camera.n_pixel, SCAN_LINES
+        told = Origin("n_line", "guessed", f"{SCAN_LINES}; scans have any length")
     else:
         return camera
     origins = tuple(origin for origin in camera.origins if origin.field != "n_line")
@@ -191,8 +189,9 @@ def _the_one(found: Sequence[Camera], words: PictureWords) -> Camera:
             why.append(f"the picture's filter is {word}")
     first = min(found, key=lambda camera: abs(camera.instrument_id))
     others = [camera for camera in found if camera is not first]
-    if not all(_apart_px(first, other) < ALIKE_PX for other in others):
-        if not words.filters and (apart_px := _wheel_px(first, others)) is not None:
+    apart_px = max((_apart_px(first, other) for other in others), default=0.0)
+    if apart_px >= ALIKE_PX:
+        if not words.filters and apart_px < WHEEL_PX and _is_wheel(first, others):
             text = (
                 f"{first.instrument_id}, the camera itself: its filter is not told; with one of the {len(others)} others "
                 f"places are up to {apart_px:.1f} px off (--instrument)"
@@ -235,12 +234,9 @@ def _apart_px(camera: Camera, other: Camera) -> float:
     return float(np.nan_to_num(apart, nan=np.inf).max())
 
 
-def _wheel_px(camera: Camera, others: Sequence[Camera]) -> float | None:
-    """How far apart the filters of one camera see a direction at most, px; None where they are several cameras."""
-    if camera.instrument_id % 10 or any(other.name != camera.name for other in others):
-        return None
-    apart = max(_apart_px(camera, other) for other in others)
-    return apart if apart < WHEEL_PX else None
+def _is_wheel(camera: Camera, others: Sequence[Camera]) -> bool:
+    """Whether others are the filters of a camera, by names and numbers."""
+    return camera.instrument_id % 10 == 0 and all(other.name == camera.name for other in others)
 
 
 def _listed(numbers: Sequence[int]) -> str:

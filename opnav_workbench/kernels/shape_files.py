@@ -15,7 +15,6 @@ Sources: Wavefront, "Object files (.obj)", appendix B1 of the Advanced Visualize
 doi 10.1111/j.1945-5100.2008.tb00692.x, and the PDS Small Bodies Node's description of its ICQ files.
 """
 
-import codecs
 import os
 import re
 import struct
@@ -28,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import FloatArray, IntArray
 from opnav_workbench.errors import KernelError
+from opnav_workbench.files import decoded
 from opnav_workbench.paths import regular_size
 
 __all__ = ["SHAPE_FORMATS", "UNIT_KM", "ShapeFile", "checked_shape", "read_shape"]
@@ -313,7 +313,7 @@ def _parsed(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:
     if content.startswith(CMOD_HEADERS):
         vertices, plates = read_cmod(content)
         return vertices[:, [0, 2, 1]] * np.array([-1.0, 1.0, 1.0]), plates
-    text = _text(content)
+    text = decoded(content, errors="replace")
     if suffix == ".obj":
         return _read_obj(text)
     if TABLE_START.match(text := COMMENT_LINES.sub("", text)):
@@ -321,12 +321,6 @@ def _parsed(content: bytes, suffix: str) -> tuple[FloatArray, IntArray]:
     raise ValueError(
         f"neither an OBJ file nor a cmod file, nor a table of plates (it begins with {content[:16]!r})"
     )
-
-
-def _text(content: bytes) -> str:
-    """The words of a file; editors put a mark before them that is none of them."""
-    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    return content.decode("utf-16" if wide else "utf-8-sig", errors="replace")
 
 
 # ---- Tables of numbers: plate tables and ICQ.

@@ -621,9 +621,11 @@ class _Fitter:
         for turn in range(MOST_FINE):
             light = self.made.light
             if not light.fine or self._stale(LAST):
-                went_px = self.shape.center_px
                 if not self._tabulate(fine=True) and light.fine:
-                    self._go_back(tabled, went_px)
+                    self._wander_back(
+                        tabled
+                    )  # light that tables are extrapolated to led away from every one of them
+                    self._solve()
                     break  # no other light explains more
                 tabled = self._state()
             if turn < MOST_TUNED:
@@ -805,9 +807,7 @@ class _Fitter:
             if uphill == MOST_UPHILL or self._wanted_px() < self._slack_px(*still):
                 break
         if self.linear.solution.held_cost > best.linear.solution.held_cost + self._lost():
-            last_px = self.shape.center_px
-            self._return_to(best)
-            self.wandered_px = best.shape.center_px - last_px
+            self._wander_back(best)
         lit = bool(self.linear.solution.theta[Unknown.BRIGHTNESS] > 0.0)
         settled = self._wanted_px() < self._slack_px(NEAR_PX, NEAR_SIGMAS)
         if not settled:
@@ -885,10 +885,10 @@ class _Fitter:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
         self.celled = self.linear.celled
 
-    def _go_back(self, state: _FitState, went_px: FloatArray) -> None:
-        """Go back to where tables were made, from where light that they are extrapolated to led, and no tables are."""
+    def _wander_back(self, state: _FitState) -> None:
+        """Return to a better state, and tell how far the fit had gone from it."""
+        went_px = self.shape.center_px
         self._return_to(state)
-        self._solve()
         self.wandered_px = state.shape.center_px - went_px
 
     def _held(self) -> dict[int, float]:
@@ -1077,7 +1077,7 @@ def tuned(
     start: FieldPrior,
     rough_px: float,
     steps: tuple[float, ...],
-    least_hemispheres: float = 1.0,
+    least_hemispheres: float,
 ) -> TunedPrior:
     """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on.
 

@@ -5,7 +5,6 @@ Labels have no document type, and no entities of their own: one that has is refu
 Source: PDS4 Information Model, 1.21: Array_2D_Image and Array_3D_Image, Element_Array, Special_Constants.
 """
 
-import codecs
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from xml.parsers import expat
 
 import numpy as np
 
+from opnav_workbench.files import is_utf16
 from opnav_workbench.image.file_bytes import image_error
 from opnav_workbench.image.formats.stored import Raster, StoredPicture, holds_constants, linear, read_raster
 from opnav_workbench.image.header import OF_UNIT, HeaderValue
@@ -78,15 +78,10 @@ class Pds4Label:
 def is_pds4(data: bytes) -> bool:
     """Tell from the first bytes whether this is a PDS4 label."""
     start = data[:LONGEST_PREAMBLE_BYTES]
-    if _is_wide(data):
+    if is_utf16(data):
         start = start.decode("utf-16", errors="ignore").encode()
     start = start.lstrip(b"\xef\xbb\xbf \t\r\n")
     return start.startswith(b"<") and ROOT.search(start) is not None
-
-
-def _is_wide(data: bytes) -> bool:
-    """Tell whether a label is in UTF-16, whatever encoding it says it has."""
-    return data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
 
 
 def pds4_label(name: str, data: bytes) -> Pds4Label:
@@ -133,7 +128,7 @@ def _parsed(name: str, data: bytes) -> _Element:
     def text(characters: str) -> None:
         open_elements[-1].text += characters
 
-    parser = expat.ParserCreate("utf-16" if _is_wide(data) else None)
+    parser = expat.ParserCreate("utf-16" if is_utf16(data) else None)  # whatever it says that it has
     parser.buffer_text = True
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, text

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from opnav_workbench.files import json_value
+from opnav_workbench.files import decoded, json_value
 from opnav_workbench.geometry.times import et_from_text, text_from_et
 from opnav_workbench.image.file_bytes import file_bytes, image_error
 from opnav_workbench.image.formats.stored import (
@@ -248,15 +248,11 @@ def _own_words(words: Mapping[str, Any]) -> dict[str, Any]:
 def _words(sidecar: Path, data: bytes, picture: str | None) -> Any:
     suffix = sidecar.suffix.lower()
     if suffix == ".json":
-        return json_value(_text(data))
+        return json_value(decoded(data))
     if suffix == ".csv":
-        return _table_words(_rows(_text(data)), picture)
-    node = compose(_text(data))
+        return _table_words(_rows(decoded(data)), picture)
+    node = compose(decoded(data))
     return {} if node is None else plain_value(node)
-
-
-def _text(data: bytes) -> str:
-    return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
 
 
 def _rows(text: str) -> list[list[str]]:
@@ -443,9 +439,10 @@ def read_raw(name: str, data: bytes, sidecar: Sidecar, sidecar_name: str) -> Sto
         (f"{behind} bytes behind the samples that {sidecar_name} tells are left aside",) if behind else ()
     )
     names = ("red", "green", "blue") if layout.bands == 3 else ()
-    saturated = full_scale(image) if image.ndim == 2 else None
     if bits is not None:
         saturated = image == (1 << bits) - 1
+    else:
+        saturated = full_scale(image) if image.ndim == 2 else None
     return StoredPicture(image, {}, saturated=saturated, channels=names, messages=remarks)
 
 
