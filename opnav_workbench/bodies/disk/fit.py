@@ -15,7 +15,7 @@ PSF                                     variance and wings: `BodyPicture.psf_wid
 and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -35,6 +35,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
 )
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
 from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
+from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
@@ -66,9 +67,10 @@ UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
 MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
 LAW_BOUNDS = np.array([[-0.1, -0.6], [1.5, 0.6]])  # of the whole share, and of the power
 WING_SIGMA = 0.15
-# Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned. Nothing but the
-# tables tells how light changes with a power: along the valley of a law they have to follow.
-MOST_TURNS, MOST_FINE, MOST_TUNED = 12, 8, 2
+# Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned; times that the prior
+# of coarse light is. Nothing but the tables tells how light changes with a power: along the valley of a law they have to
+# follow.
+MOST_TURNS, MOST_FINE, MOST_TUNED, COARSE_TUNINGS = 12, 8, 2, 2
 MOST_HALVINGS, MOST_UPHILL = 3, 3
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
@@ -78,11 +80,6 @@ LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the 
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
-TUNING, LAST_TUNING = (
-    ((1.2, 0.6), (1.0, 0.5)),
-    (0.6, 0.3),
-)  # steps in the logarithms: coarse light, fine light
-LEAST_MOVE = 0.2  # of a step
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
@@ -602,9 +599,9 @@ class _Fitter:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
             self.piece_albedo = start.piece_albedo
-            self.tuning: tuple[tuple[float, ...], ...] = ()
+            self.tunings = 0
             return
-        self.tuning = TUNING
+        self.tunings = COARSE_TUNINGS
         self.shape = shape
         self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
         self.made = problem.tabulated(shape)
@@ -614,8 +611,8 @@ class _Fitter:
     def run(self) -> DiskFit:
         self._solve()
         self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
-        for steps in self.tuning:
-            self._tune(steps, other_light=self.made.light.on_slopes is None)
+        for _ in range(self.tunings):
+            self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
         tabled = self._state()
         for turn in range(MOST_FINE):
@@ -629,7 +626,7 @@ class _Fitter:
                     break  # no other light explains more
                 tabled = self._state()
             if turn < MOST_TUNED:
-                self._tune(LAST_TUNING, other_light=self.made.light.on_slopes is None)
+                self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
             if not self._stale(LAST):
                 break
@@ -715,16 +712,16 @@ class _Fitter:
         loss = np.where(away < DOUBTED_SIGMAS, away**2, (2.0 * away - DOUBTED_SIGMAS) * DOUBTED_SIGMAS)
         return max(float(loss.sum()) / _degrees(self.linear.system), 1.0)
 
-    def _tune(self, steps: tuple[float, ...], *, other_light: bool = False) -> None:
+    def _tune(self, *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         before = self.linear.solution.log_likelihood
         self._doubt()
-        best, system = self._tuned(steps), self.linear.system
+        best, system = self._tuned(), self.linear.system
         uneven = max(best.prior.albedo, best.prior.grain) > EVEN  # else there is nothing to explain
         if other_light and uneven:
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
             self._solve()
-            other = self._tuned(steps)
+            other = self._tuned()
             if other.cost < best.cost:
                 best, system = other, self.linear.system
             else:
@@ -733,11 +730,9 @@ class _Fitter:
         self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
         self.likelihood += self.linear.solution.log_likelihood - before
 
-    def _tuned(self, steps: tuple[float, ...]) -> "TunedPrior":
+    def _tuned(self) -> TunedPrior:
         problem = self.problem
-        return tuned(
-            self.linear.system, self.prior, problem.rough_px, steps, float(problem.hemispheres.min())
-        )
+        return tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""
@@ -1054,84 +1049,6 @@ class _Fitter:
             rough_length_rad=RELIEF_RAD,
             hidden=problem.hidden,
         )
-
-
-# ---- Hyperparameters: what the data speak for, within what surfaces are like.
-
-USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
-VARIETY = np.array([1.5, 0.8, 1.5, 1.2, np.inf])
-WIDEST = 3.0
-# No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
-LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
-
-
-class TunedPrior(NamedTuple):
-    """A prior, and minus the logarithm of its posterior but for a constant of the cells."""
-
-    prior: FieldPrior
-    cost: float
-
-
-def tuned(
-    system: LimbSystem,
-    start: FieldPrior,
-    rough_px: float,
-    steps: tuple[float, ...],
-    least_hemispheres: float,
-) -> TunedPrior:
-    """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on.
-
-    `FieldPrior.hemispheres` lies between the least and 1, every doubling as likely.
-    """
-    usual = np.append(USUAL, [np.log(rough_px), 0.0])
-    flattest = np.log(least_hemispheres)
-    cells = system.weighed(start.grain)
-
-    def cost(x: FloatArray) -> float:
-        nonlocal cells
-        away = (x - usual) / VARIETY
-        beyond = np.any(np.abs(away) > WIDEST) or np.any(x[:3] < LEAST) or np.any(x[:3] > MOST)
-        if beyond or not flattest <= x[4] <= 0.0:
-            return 1e12
-        prior = FieldPrior.from_logarithms(x)
-        if prior.grain != cells.grain:
-            cells = system.weighed(prior.grain)
-        return -system.log_likelihood(prior, cells) + 0.5 * float(away @ away)
-
-    begin = np.clip(start.logarithms(), usual - 2.0 * VARIETY, usual + 2.0 * VARIETY)
-    begin[:3] = np.clip(begin[:3], LEAST + 0.1, MOST - 0.1)
-    x, value = _lowest(cost, begin, steps)
-    return TunedPrior(FieldPrior.from_logarithms(x, on_slopes=start.on_slopes), value)
-
-
-def _lowest(
-    cost: Callable[[FloatArray], float], begin: FloatArray, steps: tuple[float, ...]
-) -> tuple[FloatArray, float]:
-    """Return where a function of few variables is lowest, and its value there.
-
-    Parabolas along each of them, with steps that shrink.
-    """
-    here, value = begin.copy(), cost(begin)
-    for step in steps:
-        for k in range(len(here)):
-            sides = []
-            for sign in (-1.0, 1.0):
-                there = here.copy()
-                there[k] += sign * step
-                sides.append(cost(there))
-            bend = sides[0] - 2.0 * value + sides[1]
-            tilt = 0.5 * (sides[1] - sides[0])
-            move = float(np.clip(-tilt / bend, -2.0, 2.0)) if bend > 0.0 else float(np.sign(-tilt))
-            trials = [(sides[0], -1.0), (sides[1], 1.0)]
-            if abs(move) > LEAST_MOVE:
-                there = here.copy()
-                there[k] += move * step
-                trials.append((cost(there), move))
-            lowest, by = min(trials)
-            if lowest < value:
-                value = lowest
-                here[k] += by * step
-    return here, value
 
 
 def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:

@@ -220,7 +220,7 @@ def limb_light(
     blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
-    kept = every.transpose(1, 2, 0).astype(np.float64)
+    kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     variance = psf_variance(picture.psf, blur_px2)
     return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance)
 

@@ -20,7 +20,7 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo
 from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
-__all__ = ["FieldPrior", "LimbSystem", "MarginalSolution"]
+__all__ = ["Ascent", "FieldPrior", "LimbSystem", "MarginalSolution"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,23 +101,56 @@ class MarginalSolution:
 class WeighedCells(NamedTuple):
     """Cells weighed by noise and `grain`: R (j, q, q) with R^T R = N^T W N, N^T W [X, y] and [X, y]^T W [X, y].
 
+    `unroot` is the pseudo-inverse of R.
     `log_weights` is the sum of the logarithms of the weights, relative to those that the noise of the data alone would give.
     """
 
     grain: float
     root: FloatArray
+    unroot: FloatArray
     cross: FloatArray
     plain: FloatArray
     n_cells: int
     log_weights: float
 
 
-class _MarginalEquations(NamedTuple):
-    """K, R K and the factor of 1 + R K R^T; normal equations with the prior; their solution over all scales."""
+class Ascent(NamedTuple):
+    """A marginal likelihood about a prior, by the logarithms (5,) of `FieldPrior`.
 
+    Attributes
+    ----------
+    log_likelihood
+    gradient : (5,) array
+    information : (5, 5) array
+        The average information: mean of the observed and the expected one (Gilmour, Thompson & Cullis 1995,
+        doi:10.2307/2533274). Never negative.
+    """
+
+    log_likelihood: float
+    gradient: FloatArray
+    information: FloatArray
+
+
+class _FieldParts(NamedTuple):
+    """K in parts: patches and hemispheres of the albedo's nodes; heights of the limb, and what albedo between nodes does."""
+
+    patches: FloatArray
+    hemispheres: FloatArray
+    rough: FloatArray
+    hidden: FloatArray
+
+
+class _MarginalEquations(NamedTuple):
+    """K, whole and in parts, R K and the factor of 1 + R K R^T; normal equations with the prior; their solution over all scales.
+
+    `half` is what R K carries of [X, y], solved for with the factor.
+    """
+
+    parts: _FieldParts
     field: FloatArray
     spread: FloatArray
     factor: FloatArray
+    half: FloatArray
     normal: FloatArray
     right: FloatArray
     whole: float
@@ -188,15 +221,34 @@ class LimbSystem:
 
     def prior_covariance(self, prior: FieldPrior) -> FloatArray:
         """Return K in the order piece, node."""
+        return self._whole(self._field_parts(prior))
+
+    def _whole(self, parts: _FieldParts) -> FloatArray:
         j, q = self.data.shape[0], len(self.own)
-        albedo = (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad)
-        albedo += (prior.hemispheres * self.brightness_dn) ** 2 * self.broad
-        hidden = prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad)
-        rough = prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad) + hidden
         whole = np.zeros((j, q, j, q))
-        whole[:, :-1, :, :-1] = albedo.reshape(j, q - 1, j, q - 1)
-        whole[:, -1, :, -1] = rough
+        whole[:, :-1, :, :-1] = (parts.patches + parts.hemispheres).reshape(j, q - 1, j, q - 1)
+        whole[:, -1, :, -1] = parts.rough + parts.hidden
         return whole.reshape(j * q, j * q)
+
+    def _field_parts(self, prior: FieldPrior) -> _FieldParts:
+        return _FieldParts(
+            (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad),
+            (prior.hemispheres * self.brightness_dn) ** 2 * self.broad,
+            prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad),
+            prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad),
+        )
+
+    def _field_changes(
+        self, prior: FieldPrior, parts: _FieldParts
+    ) -> list[tuple[FloatArray | None, FloatArray | None]]:
+        """Return what K changes by with the logarithms of albedo, length, roughness and hemispheres: nodes, and limb."""
+        longer = prior.albedo**2 * self.hidden.lengthened_px2(prior.length_rad)
+        return [
+            (2.0 * parts.patches, 2.0 * parts.hidden),
+            (parts.patches * (self.chord / prior.length_rad), longer),
+            (None, 2.0 * parts.rough),
+            (2.0 * parts.hemispheres, None),
+        ]
 
     def residuals_dn(self, solution: MarginalSolution) -> FloatArray:
         """Return what a solution leaves of the cells (j, c)."""
@@ -223,13 +275,14 @@ class LimbSystem:
         plain = weighted.reshape(-1, p + 1).T @ columns.reshape(-1, p + 1)
         used = weight > 0.0
         log_weights = float(np.log(weight[used] * self.seen_variance[used]).sum())
-        return WeighedCells(grain, _roots(inner), cross, plain, int(np.count_nonzero(used)), log_weights)
+        return WeighedCells(grain, *_roots(inner), cross, plain, int(np.count_nonzero(used)), log_weights)
 
     def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
         """Return the normal equations of what is shared, marginal over the field."""
         root, cross = cells.root, cells.cross
         j, q, p = len(root), len(self.own), len(self.shared)
-        field = self.prior_covariance(prior)
+        parts = self._field_parts(prior)
+        field = self._whole(parts)
         spread = np.matmul(root, field.reshape(j, q, j * q)).reshape(j * q, j * q)
         both = np.matmul(spread.reshape(j * q, j, q).swapaxes(0, 1), np.swapaxes(root, 1, 2))
         both = both.swapaxes(0, 1).reshape(j * q, j * q)
@@ -245,7 +298,7 @@ class LimbSystem:
         least = np.maximum(self.prior_precision, RIDGE * np.diag(cells.plain)[:p])
         whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
         mixed = mixed_solution(normal, right, self.scales, least)
-        return _MarginalEquations(field, spread, factor, normal, right, whole, mixed)
+        return _MarginalEquations(parts, field, spread, factor, half, normal, right, whole, mixed)
 
     def noise_covariance(self, prior: FieldPrior) -> FloatArray:
         """Return what the noise of the cells alone scatters theta (p, p) by, under a prior.
@@ -271,6 +324,81 @@ class LimbSystem:
         """Return that of a prior, marginal over everything; `cells` are weighed by its grain."""
         return self._marginal(prior, cells).log_likelihood(cells)
 
+    def ascent(self, prior: FieldPrior, cells: WeighedCells) -> Ascent:
+        """Return the likelihood of a prior with its slopes; `cells` are weighed by its grain.
+
+        With C the covariance of the cells, P = C^-1 - C^-1 X S X^T C^-1 and S that of theta over all scales, the slope by
+        what changes C is half of tr((P y y^T P - P) dC), and the average information y^T P dC P dC P y / 2.
+        """
+        found = self._marginal(prior, cells)
+        root, cross, p = cells.root, cells.cross, len(self.shared)
+        j, q = len(root), len(self.own)
+        covariance, theta = found.mixed.covariance, found.mixed.theta
+        # N^T C^-1 [X, y], and what the field has of [X, y].
+        solved = linalg.solve_triangular(found.factor, found.half, lower=True, trans=1, check_finite=False)
+        pulled = cross - np.matmul(np.swapaxes(root, 1, 2), solved.reshape(j, q, -1)).reshape(j * q, -1)
+        nodes = found.field @ pulled
+        inverse = _inverse(found.factor)
+        pull = pulled[:, p] - pulled[:, :p] @ theta
+        beyond = np.outer(pull, pull) + pulled[:, :p] @ covariance @ pulled[:, :p].T - _between(root, inverse)
+        beyond = beyond.reshape(j, q, j, q)
+        at_nodes = np.ascontiguousarray(beyond[:, :-1, :, :-1]).reshape(self.chord.shape)
+        at_limb = np.ascontiguousarray(beyond[:, -1, :, -1])
+        gradient, moves = np.zeros(5), np.zeros((5, j, q))
+        order = [0, 1, 3, 4]  # of the logarithms; grain is no part of the field
+        for k, (albedo, limb) in zip(order, self._field_changes(prior, found.parts), strict=True):
+            if albedo is not None:
+                gradient[k] += 0.5 * float(np.vdot(at_nodes, albedo))
+                moves[k, :, :-1] = (albedo @ pull.reshape(j, q)[:, :-1].ravel()).reshape(j, q - 1)
+            if limb is not None:
+                gradient[k] += 0.5 * float(np.vdot(at_limb, limb))
+                moves[k, :, -1] = limb @ pull.reshape(j, q)[:, -1]
+        changes = np.einsum("kjq,qjc->kjc", moves, self.own)
+        gradient[2], changes[2] = self._by_grain(prior, found, cells, nodes, inverse)
+        return Ascent(found.log_likelihood(cells), gradient, self._information(prior, found, cells, changes))
+
+    def _by_grain(
+        self,
+        prior: FieldPrior,
+        found: _MarginalEquations,
+        cells: WeighedCells,
+        nodes: FloatArray,
+        inverse: FloatArray,
+    ) -> tuple[float, FloatArray]:
+        """Return the slope by the logarithm of the grain, and dC P y (j, c).
+
+        `nodes` is what the field has of [X, y], `inverse` that of 1 + R K R^T.
+        """
+        j, q, p = self.data.shape[0], len(self.own), len(self.shared)
+        grains = (prior.grain * self.light) ** 2
+        weight, change = 1.0 / (self.variance + grains), 2.0 * grains
+        by_piece = nodes.reshape(j, q, p + 1)
+        left = np.concatenate([self.shared, self.data[None]]) - np.einsum("qjc,jqp->pjc", self.own, by_piece)
+        left *= weight  # C^-1 [X, y]
+        pull = left[p] - np.tensordot(found.mixed.theta, left[:p], axes=1)
+        known = np.einsum("pjc,pjc->jc", np.tensordot(found.mixed.covariance, left[:p], axes=1), left[:p])
+        # log |C| is log |D| + log |1 + K Q|, and Q = N^T D^-1 N changes with the weights.
+        own = self.own.transpose(1, 2, 0)
+        less = np.matmul(np.swapaxes(own * (change * weight**2)[..., None], 1, 2), own)
+        less = np.matmul(np.matmul(np.swapaxes(cells.unroot, 1, 2), less), cells.unroot)
+        each = np.arange(j)
+        kept = np.eye(q) - inverse.reshape(j, q, j, q)[each, :, each]
+        spent = float(np.sum(weight * change)) - float(np.sum(kept * less))
+        return 0.5 * (float(np.sum(change * (pull**2 + known))) - spent), change * pull
+
+    def _information(
+        self, prior: FieldPrior, found: _MarginalEquations, cells: WeighedCells, changes: FloatArray
+    ) -> FloatArray:
+        """Return half of f^T P f of changes f (k, j, c)."""
+        j, p, k = self.data.shape[0], len(self.shared), len(changes)
+        weighted = changes / (self.variance + (prior.grain * self.light) ** 2)
+        cross = np.matmul(self.own.transpose(1, 0, 2), weighted.transpose(1, 2, 0)).reshape(-1, k)
+        half = linalg.solve_triangular(found.factor, found.spread @ cross, lower=True, check_finite=False)
+        carried, flat = found.field @ cross, weighted.reshape(k, -1)
+        inner = flat @ changes.reshape(k, -1).T - cross.T @ carried + half.T @ half
+        beside = self.shared.reshape(p, -1) @ flat.T - cells.cross[:, :p].T @ carried + found.half[:, :p].T @ half
+        return np.asarray(0.5 * (inner - beside.T @ found.mixed.covariance @ beside))
+
     def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
         """Solve for what all pieces share, marginal over the rest.
 
@@ -278,7 +406,7 @@ class LimbSystem:
         """
         cells = self.weighed(prior.grain)
         equations = self._marginal(prior, cells)
-        field, spread, factor, normal, right, whole, mixed = equations
+        _, field, spread, factor, _, normal, right, whole, mixed = equations
         p, theta = len(self.shared), mixed.theta
         chi2 = whole - mixed.gained
         held_chi2, held_cost = (
@@ -322,7 +450,25 @@ def _held_cost(
     return float(cost.min()), least - 2.0 * float(np.log(np.mean(np.exp(-0.5 * (cost + wide - least)))))
 
 
-def _roots(inner: FloatArray) -> FloatArray:
-    """Return R (j, q, q) with R^T R = inner, which may be singular."""
+def _between(root: FloatArray, middle: FloatArray) -> FloatArray:
+    """Return R^T A R (j q, j q) of A alike and R (j, q, q)."""
+    j, q, _ = root.shape
+    half = np.matmul(np.swapaxes(root, 1, 2), middle.reshape(j, q, j * q)).reshape(j * q, j, q)
+    return np.asarray(np.matmul(half.swapaxes(0, 1), root).swapaxes(0, 1).reshape(j * q, j * q))
+
+
+def _inverse(factor: FloatArray) -> FloatArray:
+    """Return the inverse of a matrix with this lower Cholesky factor."""
+    lower, _ = linalg.lapack.dpotri(factor, lower=1)
+    whole = lower + lower.T
+    whole[np.diag_indices(len(whole))] *= 0.5
+    return np.asarray(whole)
+
+
+def _roots(inner: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (j, q, q) with R^T R = inner, which may be singular, and its pseudo-inverse."""
     value, vector = np.linalg.eigh(inner)
-    return np.asarray(np.sqrt(np.maximum(value, 0.0))[..., None] * np.swapaxes(vector, 1, 2))
+    root = np.sqrt(np.maximum(value, 0.0))
+    known = root > np.sqrt(RIDGE) * root.max(axis=1, keepdims=True)
+    over = np.where(known, 1.0 / np.where(known, root, 1.0), 0.0)
+    return root[..., None] * np.swapaxes(vector, 1, 2), vector * over[:, None, :]
