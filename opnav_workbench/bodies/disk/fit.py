@@ -24,7 +24,6 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
-from opnav_workbench.bodies.disk.hidden_albedo import hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import (
     LimbPlaces,
     cell_of,
@@ -33,11 +32,12 @@ from opnav_workbench.bodies.disk.limb_cells import (
     limb_pixels,
     limb_places,
 )
+from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
-from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem, MarginalSolution
+from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
 from opnav_workbench.bodies.picture import BodyPicture
-from opnav_workbench.bodies.place import RELIEF_RAD, BodyPlace
+from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
@@ -46,11 +46,12 @@ from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
 __all__ = ["DiskFit", "DiskShape", "Unknown", "fit_disk"]
 
-MOST_PIECES, LEAST_PIECES, PIECE_PX = 48, 24, 1.5
+# Pieces of limb: as many as are so long at least, and more than the middle one of these numbers where they are longer still:
+# a patch on a large disk is seen to have edges. Blocks of as many pieces halve well.
+PIECES, MIDDLE, PIECE_PX = (24, 32, 40, 48, 64, 80, 96), 48, (1.5, 4.0)
 # Of the albedo, from the limb inward, no nearer than two widths of the PSF. Five left so much of sharp patches on a dim limb
 # that a larger disk with a darker rim explained the pixels better, by 2 px and 6 sigma; eleven do no better than eight.
 FEWEST_NODES, MOST_NODES, NODE_WIDTHS = 5, 8, 2.0
-BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot tell that from another center
 DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
     0.6,
     40.0,
@@ -384,11 +385,6 @@ def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) ->
     return out
 
 
-def piece_angles(n: int) -> FloatArray:
-    """Return the middles (n,) of pieces of limb, rad."""
-    return np.asarray((np.arange(n) + 0.5) * (TURN / n))
-
-
 class _DiskProblem:
     """What stays while a disk is fitted."""
 
@@ -412,19 +408,14 @@ class _DiskProblem:
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
-        self.pieces = int(np.clip(round(TURN * radius_px / PIECE_PX), LEAST_PIECES, MOST_PIECES))
+        self.pieces = _pieces(TURN * radius_px)
         width = float(np.sqrt(self.psf_variance_px2))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
         seen = round(1.0 + deepest * radius_px / (NODE_WIDTHS * width))
         self.node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
         self.rim_weight = np.exp(-self.node_rad / RIM_RAD)
         self.rough_px = self.figure.limb_roughness * radius_px
-        self.hidden = hidden_albedo(radius_px, width, self.node_rad, self.pieces)
-        angle = piece_angles(self.pieces)
-        turn = np.abs(angle[:, None] - angle)
-        self.turn = np.minimum(turn, TURN - turn)
-        self.chord = _arcs(angle, self.node_rad)
-        self.broad = self.figure.albedo_sigma**2 * np.exp((np.cos(self.chord) - 1.0) / BROAD_RAD**2)
+        self.field = limb_field(radius_px, width, self.node_rad, self.pieces, self.figure.albedo_sigma)
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
         self.hemispheres = np.array(self.figure.albedo_scales) / self.figure.albedo_sigma
@@ -493,20 +484,19 @@ class _DiskProblem:
         return mean
 
 
+def _pieces(limb_px: float) -> int:
+    """Return the number of pieces of a limb of this length."""
+    short, long = (limb_px / px for px in PIECE_PX)
+    wanted = min(short, max(float(MIDDLE), long))
+    return max((n for n in PIECES if n <= wanted), default=PIECES[0])
+
+
 def _law_prior(model: BodyModel) -> tuple[float, float, float]:
     """Return mean and sigma of what a body's law has more of Lommel-Seeliger's, and the sigma of its power."""
     stated = model.figure.law_sigma
     if stated is not None:
         return 0.0, stated, MINNAERT_SHARE * stated
     return UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
-
-
-def _arcs(angle: FloatArray, node: FloatArray) -> FloatArray:
-    """Return the angles on a sphere (j k, j k) between nodes at arcs from the limb."""
-    cos_b, sin_b = np.cos(node), np.broadcast_to(np.sin(node), (len(angle), len(node)))
-    x, y = np.cos(angle)[:, None] * cos_b, np.sin(angle)[:, None] * cos_b
-    place = np.stack([x, y, sin_b], axis=-1).reshape(-1, 3)
-    return np.asarray(np.arccos(np.clip(place @ place.T, -1.0, 1.0)))
 
 
 def fit_disk(
@@ -1042,12 +1032,8 @@ class _Fitter:
             prior_mean=problem.prior_mean(shape.center_px),
             prior_precision=problem.prior_precision,
             scales=problem.scales,
-            chord=problem.chord,
-            broad=problem.broad,
-            turn=problem.turn,
+            field=problem.field,
             brightness_dn=self.brightness,
-            rough_length_rad=RELIEF_RAD,
-            hidden=problem.hidden,
         )
 
 

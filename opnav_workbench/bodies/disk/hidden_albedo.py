@@ -50,14 +50,7 @@ class HiddenAlbedo:
 
     def covariance_px2(self, length_rad: float) -> FloatArray:
         """Return the covariance (n, n) of the pieces' steps for a field of a correlation length."""
-        return self._by_lag(np.exp(-self.apart_rad / length_rad) @ self.weight)
-
-    def lengthened_px2(self, length_rad: float) -> FloatArray:
-        """Return the derivative (n, n) of `covariance_px2` with respect to the logarithm of the length."""
-        apart = self.apart_rad / length_rad
-        return self._by_lag((np.exp(-apart) * apart) @ self.weight)
-
-    def _by_lag(self, by_lag: FloatArray) -> FloatArray:
+        by_lag = np.exp(-self.apart_rad / length_rad) @ self.weight
         lag = np.abs(np.subtract.outer(np.arange(self.pieces), np.arange(self.pieces)))
         lag = np.minimum(lag, self.pieces - lag)
         return np.where(lag <= FARTHEST, by_lag[np.minimum(lag, FARTHEST)], 0.0)

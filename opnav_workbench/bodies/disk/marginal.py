@@ -1,12 +1,13 @@
 """The likelihood of cells of a limb, marginal over an albedo that is a random field on the body and over a rough limb.
 
-    y = X theta + N w + e,    w ~ N(0, K),  theta ~ N(theta_0, 1 / Lambda),  e ~ N(0, D)
+    y = X theta + N (w + V b) + e,    w ~ N(0, K),  b ~ N(0, h^2),  theta ~ N(theta_0, 1 / Lambda),  e ~ N(0, D)
 
 y are the means of data in cells (j pieces of limb with c depths), X what all pieces share (center, size, axes, law, PSF,
 background), and N, block by block, what each piece has of its own: its albedo at k arcs from the limb, and the place of
-its limb. K is exponential in the distance on the body: the covariance of a surface that is patched by boundaries at
-random places. With R^T R = N^T D^-1 N, block by block, every quantity follows from one Cholesky decomposition of
-1 + R K R^T (Rasmussen & Williams 2006, "Gaussian Processes for Machine Learning", section 2.7 and equation A.9).
+its limb. w are patches of albedo and heights, a ring of blocks (`LimbField.ring`), b the amplitudes of hemispheres. With
+M = K^-1 + N^T D^-1 N, a ring of blocks as well, every quantity follows from one decomposition of M (Rasmussen & Williams
+2006, "Gaussian Processes for Machine Learning", section 2.7 and equation A.9). Its slopes by the prior need no more of the
+inverse than the blocks that M has.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,52 +15,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo
+from opnav_workbench.bodies.disk.limb_field import BLOCK, FieldPrior, LimbField
+from opnav_workbench.bodies.disk.ring import RingFactor, RingPrior, products
 from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
-__all__ = ["Ascent", "FieldPrior", "LimbSystem", "MarginalSolution"]
+__all__ = ["Ascent", "LimbSystem", "MarginalSolution"]
 
-
-@dataclass(frozen=True, slots=True)
-class FieldPrior:
-    """Hyperparameters of the random field.
-
-    Attributes
-    ----------
-    albedo
-        Relative standard deviation of the albedo.
-    length_rad
-        Over which it is correlated.
-    grain
-        Relative standard deviation of what differs from cell to cell.
-    rough_px
-        Standard deviation of the limb.
-    on_slopes
-        Whether the albedo is relative to the light of slopes that face the Sun: terrain shines where a smooth body has no
-        light.
-    hemispheres
-        What whole hemispheres differ by over what they may: over the standard deviation of `LimbSystem.broad`.
-    """
-
-    albedo: float
-    length_rad: float
-    grain: float
-    rough_px: float
-    on_slopes: bool = False
-    hemispheres: float = 1.0
-
-    def logarithms(self) -> FloatArray:
-        """Return the logarithms (5,)."""
-        return np.log([self.albedo, self.length_rad, self.grain, self.rough_px, self.hemispheres])
-
-    @classmethod
-    def from_logarithms(cls, values: FloatArray, *, on_slopes: bool = False) -> "FieldPrior":
-        """Return the prior of logarithms (5,)."""
-        albedo, length, grain, rough, hemispheres = (float(v) for v in np.exp(values))
-        return cls(albedo, length, grain, rough, on_slopes, hemispheres)
+SMALL_STEP = 1e-5  # in a logarithm, for the slope of the field's own precision
+IN_RING = (0, 1, 3)  # which of the logarithms of a prior the ring depends on
+GRAIN, HEMISPHERES = 2, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,22 +64,6 @@ class MarginalSolution:
         freeze_arrays(self)
 
 
-class WeighedCells(NamedTuple):
-    """Cells weighed by noise and `grain`: R (j, q, q) with R^T R = N^T W N, N^T W [X, y] and [X, y]^T W [X, y].
-
-    `unroot` is the pseudo-inverse of R.
-    `log_weights` is the sum of the logarithms of the weights, relative to those that the noise of the data alone would give.
-    """
-
-    grain: float
-    root: FloatArray
-    unroot: FloatArray
-    cross: FloatArray
-    plain: FloatArray
-    n_cells: int
-    log_weights: float
-
-
 class Ascent(NamedTuple):
     """A marginal likelihood about a prior, by the logarithms (5,) of `FieldPrior`.
 
@@ -131,41 +81,48 @@ class Ascent(NamedTuple):
     information: FloatArray
 
 
-class _FieldParts(NamedTuple):
-    """K in parts: patches and hemispheres of the albedo's nodes; heights of the limb, and what albedo between nodes does."""
+class WeighedCells(NamedTuple):
+    """Cells weighed by noise and `grain`, W = 1 / D.
 
-    patches: FloatArray
-    hemispheres: FloatArray
-    rough: FloatArray
-    hidden: FloatArray
+    `columns` are [X, N V, y] (p + r + 1, j, c), `own` N^T W N (j, q, q), `cross` N^T W [X, N V, y] as blocks of the ring,
+    `plain` [X, N V, y]^T W [X, N V, y]. `log_weights` is the sum of the logarithms of the weights, relative to those that
+    the noise of the data alone would give.
+    """
+
+    grain: float
+    weight: FloatArray
+    columns: FloatArray
+    own: FloatArray
+    cross: FloatArray
+    plain: FloatArray
+    n_cells: int
+    log_weights: float
 
 
 class _MarginalEquations(NamedTuple):
-    """K, whole and in parts, R K and the factor of 1 + R K R^T; normal equations with the prior; their solution over all scales.
+    """K^-1; M, and what it leaves of [X, N V, y]; normal equations with the prior; their solution over all scales.
 
-    `half` is what R K carries of [X, y], solved for with the factor.
+    `amplitude` is the standard deviation h of the hemispheres, DN.
     """
 
-    parts: _FieldParts
-    field: FloatArray
-    spread: FloatArray
-    factor: FloatArray
-    half: FloatArray
+    ring: RingPrior
+    factor: RingFactor
+    halves: list[FloatArray]
+    amplitude: float
     normal: FloatArray
     right: FloatArray
     whole: float
     mixed: MixedSolution
 
     @property
-    def field_width(self) -> float:
-        return 2.0 * float(np.log(np.diag(self.factor)).sum())
+    def unknowns(self) -> int:
+        """Number of what is shared and of hemispheres, p + r."""
+        return len(self.right)
 
-    def width(self, cells: WeighedCells) -> float:
+    def width(self, cells: WeighedCells, hemispheres: int) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
-        return self.field_width - cells.log_weights - cells.n_cells
-
-    def log_likelihood(self, cells: WeighedCells) -> float:
-        return self.mixed.log_evidence - 0.5 * (self.whole + self.width(cells))
+        field = self.factor.log_determinant - self.ring.log_determinant
+        return field + 2.0 * hemispheres * float(np.log(self.amplitude)) - cells.log_weights - cells.n_cells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,16 +145,10 @@ class LimbSystem:
     prior_mean, prior_precision : (p,) arrays
     scales : (k, p) array
         Precisions about 0 that stand beside `prior_precision`, one row for each scale of the figure.
-    chord, broad : (j (q - 1), j (q - 1)) arrays
-        Distance of the albedo's nodes on the body, rad; relative covariance of what whole hemispheres differ by at most.
-    turn : (j, j) array
-        Angle between pieces of limb about the center, rad.
+    field
+        Of the albedo and the heights.
     brightness_dn
         Of the model: albedo is relative to it.
-    rough_length_rad
-        Over which the limb's heights are correlated.
-    hidden
-        Albedo between the nodes.
     """
 
     data: FloatArray
@@ -209,46 +160,15 @@ class LimbSystem:
     prior_mean: FloatArray
     prior_precision: FloatArray
     scales: FloatArray
-    chord: FloatArray
-    broad: FloatArray
-    turn: FloatArray
+    field: LimbField
     brightness_dn: float
-    rough_length_rad: float
-    hidden: HiddenAlbedo
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
     def prior_covariance(self, prior: FieldPrior) -> FloatArray:
-        """Return K in the order piece, node."""
-        return self._whole(self._field_parts(prior))
-
-    def _whole(self, parts: _FieldParts) -> FloatArray:
-        j, q = self.data.shape[0], len(self.own)
-        whole = np.zeros((j, q, j, q))
-        whole[:, :-1, :, :-1] = (parts.patches + parts.hemispheres).reshape(j, q - 1, j, q - 1)
-        whole[:, -1, :, -1] = parts.rough + parts.hidden
-        return whole.reshape(j * q, j * q)
-
-    def _field_parts(self, prior: FieldPrior) -> _FieldParts:
-        return _FieldParts(
-            (prior.albedo * self.brightness_dn) ** 2 * np.exp(-self.chord / prior.length_rad),
-            (prior.hemispheres * self.brightness_dn) ** 2 * self.broad,
-            prior.rough_px**2 * np.exp(-self.turn / self.rough_length_rad),
-            prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad),
-        )
-
-    def _field_changes(
-        self, prior: FieldPrior, parts: _FieldParts
-    ) -> list[tuple[FloatArray | None, FloatArray | None]]:
-        """Return what K changes by with the logarithms of albedo, length, roughness and hemispheres: nodes, and limb."""
-        longer = prior.albedo**2 * self.hidden.lengthened_px2(prior.length_rad)
-        return [
-            (2.0 * parts.patches, 2.0 * parts.hidden),
-            (parts.patches * (self.chord / prior.length_rad), longer),
-            (None, 2.0 * parts.rough),
-            (2.0 * parts.hemispheres, None),
-        ]
+        """Return the covariance (j q, j q) of the field in the order piece, node."""
+        return self.field.covariance(prior, self.brightness_dn)
 
     def residuals_dn(self, solution: MarginalSolution) -> FloatArray:
         """Return what a solution leaves of the cells (j, c)."""
@@ -265,40 +185,43 @@ class LimbSystem:
 
     def weighed(self, grain: float) -> WeighedCells:
         """Return the products of the cells, weighed by their noise and grain: all that a prior needs of them."""
-        j, q, p = self.data.shape[0], len(self.own), len(self.shared)
+        j, q = self.data.shape[0], len(self.own)
         weight = 1.0 / (self.variance + (grain * self.light) ** 2)
-        own = np.ascontiguousarray(self.own.transpose(1, 2, 0))
-        columns = np.concatenate([self.shared, self.data[None]]).transpose(1, 2, 0)
+        broad = np.matmul(self.own[:-1].transpose(1, 2, 0), self.field.modes).transpose(2, 0, 1)
+        stacked = np.concatenate([self.shared, broad, self.data[None]])
+        columns = stacked.transpose(1, 2, 0)
         weighted = columns * weight[..., None]
+        own = np.ascontiguousarray(self.own.transpose(1, 2, 0))
         inner = np.matmul(np.swapaxes(own * weight[..., None], 1, 2), own)
-        cross = np.matmul(np.swapaxes(own, 1, 2), weighted).reshape(j * q, p + 1)
-        plain = weighted.reshape(-1, p + 1).T @ columns.reshape(-1, p + 1)
+        cross = np.matmul(np.swapaxes(own, 1, 2), weighted).reshape(j // BLOCK, BLOCK * q, -1)
+        m = len(stacked)
+        plain = weighted.reshape(-1, m).T @ columns.reshape(-1, m)
         used = weight > 0.0
         log_weights = float(np.log(weight[used] * self.seen_variance[used]).sum())
-        return WeighedCells(grain, *_roots(inner), cross, plain, int(np.count_nonzero(used)), log_weights)
+        cells = int(np.count_nonzero(used))
+        return WeighedCells(grain, weight, stacked, inner, cross, plain, cells, log_weights)
 
     def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
-        """Return the normal equations of what is shared, marginal over the field."""
-        root, cross = cells.root, cells.cross
-        j, q, p = len(root), len(self.own), len(self.shared)
-        parts = self._field_parts(prior)
-        field = self._whole(parts)
-        spread = np.matmul(root, field.reshape(j, q, j * q)).reshape(j * q, j * q)
-        both = np.matmul(spread.reshape(j * q, j, q).swapaxes(0, 1), np.swapaxes(root, 1, 2))
-        both = both.swapaxes(0, 1).reshape(j * q, j * q)
-        both[np.diag_indices(j * q)] += 1.0
-        factor = linalg.cholesky(both, lower=True, check_finite=False, overwrite_a=True)
-        carried = field @ cross
-        half = linalg.solve_triangular(factor, spread @ cross, lower=True, check_finite=False)
-        # (K^-1 + Q)^-1 = K - K R^T (1 + R K R^T)^-1 R K
-        information = cells.plain - cross.T @ carried + half.T @ half
-        normal = information[:p, :p] + np.diag(self.prior_precision)
-        right = information[:p, p] + self.prior_precision * self.prior_mean
+        """Return the normal equations of what is shared and of the hemispheres, marginal over the ring."""
+        ring = self.field.ring(prior, self.brightness_dn)
+        n, s, m = cells.cross.shape
+        factor = RingFactor(ring.diagonal + _in_blocks(cells.own), np.broadcast_to(ring.before, (n, s, s)))
+        halves = factor.halves(cells.cross)
+        p, r = len(self.shared), m - 1 - len(self.shared)
+        amplitude = prior.hemispheres * self.brightness_dn
+        information = cells.plain - products(halves, halves)
+        mean = np.append(self.prior_mean, np.zeros(r))
+        precision = np.append(self.prior_precision, np.full(r, amplitude**-2.0))
+        normal = information[:-1, :-1] + np.diag(precision)
+        right = information[:-1, -1] + precision * mean
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
-        least = np.maximum(self.prior_precision, RIDGE * np.diag(cells.plain)[:p])
-        whole = float(information[p, p] + self.prior_precision @ self.prior_mean**2)
-        mixed = mixed_solution(normal, right, self.scales, least)
-        return _MarginalEquations(parts, field, spread, factor, half, normal, right, whole, mixed)
+        least = np.maximum(precision, RIDGE * np.diag(cells.plain)[:-1])
+        whole = float(information[-1, -1] + precision[:p] @ self.prior_mean**2)
+        mixed = mixed_solution(normal, right, self._every_scale(r), least)
+        return _MarginalEquations(ring, factor, halves, amplitude, normal, right, whole, mixed)
+
+    def _every_scale(self, hemispheres: int) -> FloatArray:
+        return np.pad(self.scales, ((0, 0), (0, hemispheres)))
 
     def noise_covariance(self, prior: FieldPrior) -> FloatArray:
         """Return what the noise of the cells alone scatters theta (p, p) by, under a prior.
@@ -308,95 +231,103 @@ class LimbSystem:
         """
         cells = self.weighed(prior.grain)
         found, p = self._marginal(prior, cells), len(self.shared)
-        cross, spread = cells.cross[:, :p], found.spread
-        half = linalg.cho_solve((found.factor, True), spread @ cross, check_finite=False)
-        # Of the field, of each column of X.
-        nodes = (found.field @ cross - spread.T @ half).reshape(len(cells.root), -1, p)
-        left = self.shared - np.einsum("qjc,jqp->pjc", self.own, nodes)
+        left = self._pulled(cells, found.factor.solved(found.halves))[:-1]
         used = np.isfinite(self.variance)
-        by_noise = (left / (self.variance + (prior.grain * self.light) ** 2))[:, used] * np.sqrt(
-            self.variance[used]
-        )
-        by_noise = found.mixed.covariance @ by_noise
+        by_noise = found.mixed.covariance[:p] @ (left[:, used] * np.sqrt(self.variance[used]))
         return np.asarray(by_noise @ by_noise.T)
+
+    def _pulled(self, cells: WeighedCells, nodes: FloatArray) -> FloatArray:
+        """Return what the inverse of D + N K N^T makes of `WeighedCells.columns` (m, j, c); the ring has `nodes` of them."""
+        j, q = self.data.shape[0], len(self.own)
+        taken = np.matmul(self.own.transpose(1, 2, 0), nodes.reshape(j, q, -1)).transpose(2, 0, 1)
+        return np.asarray((cells.columns - taken) * cells.weight)
 
     def log_likelihood(self, prior: FieldPrior, cells: WeighedCells) -> float:
         """Return that of a prior, marginal over everything; `cells` are weighed by its grain."""
-        return self._marginal(prior, cells).log_likelihood(cells)
+        return self._log_likelihood(self._marginal(prior, cells), cells)
+
+    def _log_likelihood(self, found: _MarginalEquations, cells: WeighedCells) -> float:
+        return found.mixed.log_evidence - 0.5 * (found.whole + self._width(found, cells))
+
+    def _width(self, found: _MarginalEquations, cells: WeighedCells) -> float:
+        return found.width(cells, found.unknowns - len(self.shared))
 
     def ascent(self, prior: FieldPrior, cells: WeighedCells) -> Ascent:
         """Return the likelihood of a prior with its slopes; `cells` are weighed by its grain.
 
-        With C the covariance of the cells, P = C^-1 - C^-1 X S X^T C^-1 and S that of theta over all scales, the slope by
-        what changes C is half of tr((P y y^T P - P) dC), and the average information y^T P dC P dC P y / 2.
+        With u what the ring has of the data, its slope by what changes K^-1 = Q is that of log |Q| less
+        tr((M^-1 + u u^T) dQ), halved, over all that theta may be; the average information is y^T P dC P dC P y / 2 with C
+        the covariance of the cells and P y = C^-1 (y - X theta).
         """
         found = self._marginal(prior, cells)
-        root, cross, p = cells.root, cells.cross, len(self.shared)
-        j, q = len(root), len(self.own)
         covariance, theta = found.mixed.covariance, found.mixed.theta
-        # N^T C^-1 [X, y], and what the field has of [X, y].
-        solved = linalg.solve_triangular(found.factor, found.half, lower=True, trans=1, check_finite=False)
-        pulled = cross - np.matmul(np.swapaxes(root, 1, 2), solved.reshape(j, q, -1)).reshape(j * q, -1)
-        nodes = found.field @ pulled
-        inverse = _inverse(found.factor)
-        pull = pulled[:, p] - pulled[:, :p] @ theta
-        beyond = np.outer(pull, pull) + pulled[:, :p] @ covariance @ pulled[:, :p].T - _between(root, inverse)
-        beyond = beyond.reshape(j, q, j, q)
-        at_nodes = np.ascontiguousarray(beyond[:, :-1, :, :-1]).reshape(self.chord.shape)
-        at_limb = np.ascontiguousarray(beyond[:, -1, :, -1])
-        gradient, moves = np.zeros(5), np.zeros((5, j, q))
-        order = [0, 1, 3, 4]  # of the logarithms; grain is no part of the field
-        for k, (albedo, limb) in zip(order, self._field_changes(prior, found.parts), strict=True):
-            if albedo is not None:
-                gradient[k] += 0.5 * float(np.vdot(at_nodes, albedo))
-                moves[k, :, :-1] = (albedo @ pull.reshape(j, q)[:, :-1].ravel()).reshape(j, q - 1)
-            if limb is not None:
-                gradient[k] += 0.5 * float(np.vdot(at_limb, limb))
-                moves[k, :, -1] = limb @ pull.reshape(j, q)[:, -1]
-        changes = np.einsum("kjq,qjc->kjc", moves, self.own)
-        gradient[2], changes[2] = self._by_grain(prior, found, cells, nodes, inverse)
-        return Ascent(found.log_likelihood(cells), gradient, self._information(prior, found, cells, changes))
+        nodes = found.factor.solved(found.halves)
+        pulled = self._pulled(cells, nodes)
+        ring = nodes[..., -1] - nodes[..., :-1] @ theta
+        pull = pulled[-1] - np.tensordot(theta, pulled[:-1], axes=1)
+        blocks = found.factor.inverse()
+        gradient, changes = np.zeros(5), np.zeros((5, *self.data.shape))
+        sums = _second_moments(blocks, ring, nodes[..., :-1], covariance)
+        by_ring = [self._by_ring(prior, found.ring, k, sums, ring) for k in IN_RING]
+        gradient[list(IN_RING)] = [slope for slope, _ in by_ring]
+        moves = -found.ring.covariance_times(np.stack([change for _, change in by_ring], axis=2))
+        moves = moves.reshape(*self.own.shape[1::-1], -1).transpose(2, 0, 1)
+        changes[list(IN_RING)] = np.einsum("qjc,kjq->kjc", self.own, moves)
+        gradient[GRAIN], changes[GRAIN] = self._by_grain(prior, cells, blocks[0], pull, pulled, covariance)
+        broad = slice(len(self.shared), None)
+        variance = float(np.sum(theta[broad] ** 2 + np.diag(covariance)[broad]))
+        gradient[HEMISPHERES] = variance / found.amplitude**2 - len(theta[broad])
+        changes[HEMISPHERES] = 2.0 * np.tensordot(theta[broad], cells.columns[:-1][broad], axes=1)
+        information = self._information(found, cells, changes)
+        return Ascent(self._log_likelihood(found, cells), gradient, information)
+
+    def _by_ring(
+        self,
+        prior: FieldPrior,
+        ring: RingPrior,
+        k: int,
+        sums: tuple[FloatArray, FloatArray],
+        nodes: FloatArray,
+    ) -> tuple[float, FloatArray]:
+        """Return the slope by a logarithm that the ring depends on, and dQ u, n blocks (n, s)."""
+        beside = prior.logarithms()
+        beside[k] += SMALL_STEP
+        other = self.field.ring(FieldPrior.from_logarithms(beside), self.brightness_dn)
+        diagonal, before, width = ((np.asarray(b) - a) / SMALL_STEP for a, b in zip(ring, other, strict=True))
+        slope = 0.5 * float(width - np.vdot(sums[0], diagonal) - 2.0 * np.vdot(sums[1], before))
+        return slope, RingPrior(diagonal, before, 0.0).times(nodes[..., None])[..., 0]
 
     def _by_grain(
         self,
         prior: FieldPrior,
-        found: _MarginalEquations,
         cells: WeighedCells,
-        nodes: FloatArray,
-        inverse: FloatArray,
+        blocks: FloatArray,
+        pull: FloatArray,
+        pulled: FloatArray,
+        covariance: FloatArray,
     ) -> tuple[float, FloatArray]:
         """Return the slope by the logarithm of the grain, and dC P y (j, c).
 
-        `nodes` is what the field has of [X, y], `inverse` that of 1 + R K R^T.
+        `blocks` are those of M^-1 on the diagonal, `pull` is P y, `pulled` C^-1 [X, N V, y].
         """
-        j, q, p = self.data.shape[0], len(self.own), len(self.shared)
-        grains = (prior.grain * self.light) ** 2
-        weight, change = 1.0 / (self.variance + grains), 2.0 * grains
-        by_piece = nodes.reshape(j, q, p + 1)
-        left = np.concatenate([self.shared, self.data[None]]) - np.einsum("qjc,jqp->pjc", self.own, by_piece)
-        left *= weight  # C^-1 [X, y]
-        pull = left[p] - np.tensordot(found.mixed.theta, left[:p], axes=1)
-        known = np.einsum("pjc,pjc->jc", np.tensordot(found.mixed.covariance, left[:p], axes=1), left[:p])
-        # log |C| is log |D| + log |1 + K Q|, and Q = N^T D^-1 N changes with the weights.
+        j, q = self.data.shape[0], len(self.own)
+        change, weight = 2.0 * (prior.grain * self.light) ** 2, cells.weight
+        known = np.einsum("pjc,pjc->jc", np.tensordot(covariance, pulled[:-1], axes=1), pulled[:-1])
+        each = np.arange(BLOCK)
+        by_piece = blocks.reshape(-1, BLOCK, q, BLOCK, q)[:, each, :, each].swapaxes(0, 1).reshape(j, q, q)
         own = self.own.transpose(1, 2, 0)
-        less = np.matmul(np.swapaxes(own * (change * weight**2)[..., None], 1, 2), own)
-        less = np.matmul(np.matmul(np.swapaxes(cells.unroot, 1, 2), less), cells.unroot)
-        each = np.arange(j)
-        kept = np.eye(q) - inverse.reshape(j, q, j, q)[each, :, each]
-        spent = float(np.sum(weight * change)) - float(np.sum(kept * less))
-        return 0.5 * (float(np.sum(change * (pull**2 + known))) - spent), change * pull
+        spent = weight - weight**2 * np.einsum("jcq,jcq->jc", np.matmul(own, by_piece), own)
+        return 0.5 * float(np.sum(change * (pull**2 + known - spent))), change * pull
 
-    def _information(
-        self, prior: FieldPrior, found: _MarginalEquations, cells: WeighedCells, changes: FloatArray
-    ) -> FloatArray:
+    def _information(self, found: _MarginalEquations, cells: WeighedCells, changes: FloatArray) -> FloatArray:
         """Return half of f^T P f of changes f (k, j, c)."""
-        j, p, k = self.data.shape[0], len(self.shared), len(changes)
-        weighted = changes / (self.variance + (prior.grain * self.light) ** 2)
-        cross = np.matmul(self.own.transpose(1, 0, 2), weighted.transpose(1, 2, 0)).reshape(-1, k)
-        half = linalg.solve_triangular(found.factor, found.spread @ cross, lower=True, check_finite=False)
-        carried, flat = found.field @ cross, weighted.reshape(k, -1)
-        inner = flat @ changes.reshape(k, -1).T - cross.T @ carried + half.T @ half
-        beside = self.shared.reshape(p, -1) @ flat.T - cells.cross[:, :p].T @ carried + found.half[:, :p].T @ half
+        k, (n, s, _) = len(changes), cells.cross.shape
+        weighted = changes * cells.weight
+        cross = np.matmul(self.own.transpose(1, 0, 2), weighted.transpose(1, 2, 0)).reshape(n, s, k)
+        halves = found.factor.halves(cross)
+        flat, columns = weighted.reshape(k, -1), cells.columns[:-1].reshape(found.unknowns, -1)
+        inner = flat @ changes.reshape(k, -1).T - products(halves, halves)
+        beside = columns @ flat.T - products(found.halves, halves)[:-1]
         return np.asarray(0.5 * (inner - beside.T @ found.mixed.covariance @ beside))
 
     def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
@@ -405,23 +336,27 @@ class LimbSystem:
         `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is.
         """
         cells = self.weighed(prior.grain)
-        equations = self._marginal(prior, cells)
-        _, field, spread, factor, _, normal, right, whole, mixed = equations
-        p, theta = len(self.shared), mixed.theta
-        chi2 = whole - mixed.gained
+        found = self._marginal(prior, cells)
+        mixed, p = found.mixed, len(self.shared)
+        chi2 = found.whole - mixed.gained
         held_chi2, held_cost = (
-            (chi2, chi2) if held is None else _held_cost(normal, right, whole, self.scales, held)
+            (chi2, chi2)
+            if held is None
+            else _held_cost(
+                found.normal, found.right, found.whole, self._every_scale(found.unknowns - p), held
+            )
         )
-        rest = cells.cross[:, p] - cells.cross[:, :p] @ theta
-        nodes = field @ rest - spread.T @ linalg.cho_solve((factor, True), spread @ rest, check_finite=False)
+        solved = found.factor.solved(found.halves)
+        nodes = (solved[..., -1] - solved[..., :-1] @ mixed.theta).reshape(len(self.data), -1)
+        nodes[:, :-1] += self.field.modes @ mixed.theta[p:]
         return MarginalSolution(
-            equations.log_likelihood(cells),
-            theta,
-            mixed.covariance,
-            nodes.reshape(len(cells.root), -1),
+            self._log_likelihood(found, cells),
+            mixed.theta[:p],
+            mixed.covariance[:p, :p],
+            nodes,
             chi2,
             held_chi2,
-            held_cost + equations.width(cells),
+            held_cost + self._width(found, cells),
             mixed.share,
         )
 
@@ -450,25 +385,25 @@ def _held_cost(
     return float(cost.min()), least - 2.0 * float(np.log(np.mean(np.exp(-0.5 * (cost + wide - least)))))
 
 
-def _between(root: FloatArray, middle: FloatArray) -> FloatArray:
-    """Return R^T A R (j q, j q) of A alike and R (j, q, q)."""
-    j, q, _ = root.shape
-    half = np.matmul(np.swapaxes(root, 1, 2), middle.reshape(j, q, j * q)).reshape(j * q, j, q)
-    return np.asarray(np.matmul(half.swapaxes(0, 1), root).swapaxes(0, 1).reshape(j * q, j * q))
+def _in_blocks(each: FloatArray) -> FloatArray:
+    """Return matrices (j, q, q) of pieces on the diagonals of blocks (j / `BLOCK`, `BLOCK` q, `BLOCK` q)."""
+    j, q, _ = each.shape
+    out = np.zeros((j // BLOCK, BLOCK, q, BLOCK, q))
+    here = np.arange(BLOCK)
+    out[:, here, :, here] = each.reshape(-1, BLOCK, q, q).swapaxes(0, 1)
+    return out.reshape(-1, BLOCK * q, BLOCK * q)
 
 
-def _inverse(factor: FloatArray) -> FloatArray:
-    """Return the inverse of a matrix with this lower Cholesky factor."""
-    lower, _ = linalg.lapack.dpotri(factor, lower=1)
-    whole = lower + lower.T
-    whole[np.diag_indices(len(whole))] *= 0.5
-    return np.asarray(whole)
+def _second_moments(
+    blocks: tuple[FloatArray, FloatArray], mean: FloatArray, nodes: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the sums (s, s) over the ring of its second moments, in a block and with the one before.
 
-
-def _roots(inner: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R (j, q, q) with R^T R = inner, which may be singular, and its pseudo-inverse."""
-    value, vector = np.linalg.eigh(inner)
-    root = np.sqrt(np.maximum(value, 0.0))
-    known = root > np.sqrt(RIDGE) * root.max(axis=1, keepdims=True)
-    over = np.where(known, 1.0 / np.where(known, root, 1.0), 0.0)
-    return root[..., None] * np.swapaxes(vector, 1, 2), vector * over[:, None, :]
+    `blocks` are its covariance for a given theta, `mean` (n, s) its mean, and `nodes` (n, s, p) what it has of theta.
+    """
+    spread = nodes @ covariance
+    moments = []
+    for own, turned in zip(blocks, (0, 1), strict=True):
+        there = np.tensordot(spread, np.roll(nodes, turned, axis=0), axes=((0, 2), (0, 2)))
+        moments.append(own.sum(axis=0) + there + mean.T @ np.roll(mean, turned, axis=0))
+    return moments[0], moments[1]

@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels
-from opnav_workbench.bodies.disk.fit import RELIEF, DiskFit, Unknown, disk_columns, fit_disk
+from opnav_workbench.bodies.disk.fit import PLACE_SIGMAS, RELIEF, DiskFit, Unknown, disk_columns, fit_disk
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -108,7 +108,8 @@ def measure_disk(
         hits = _hits(fit, pixels)
         if hits.any():
             pixels = replace(pixels, use=pixels.use & ~hits)
-            fit = fit_disk(picture, name, place, pixels, fit)
+            # What other light had led away is no place to begin from.
+            fit = fit_disk(picture, name, place, pixels, fit if fit.converged else None)
         crossing = read_crossings(picture, fit)
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
@@ -283,10 +284,13 @@ def _from_crossings(
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return the likelier of a fit and of another that begins where the crossings put the body."""
     size = fit.smooth_outline.diameter_px * np.exp(crossing.log_size) / picture.diameter_px(name)
+    sigma = np.sqrt(np.linalg.eigvalsh(crossing_covariance(crossing.covariance[:2, :2]))[-1])
+    # It has to stay there: light that one fit was led away by would lead the other.
     place = BodyPlace(
         fit.center_px + crossing.step_px,
         float(np.clip(size, *START_SIZES)),
         1.0,
+        center_sigma_px=float(sigma) / PLACE_SIGMAS,
         strain=fit.shape.strain[:2] + crossing.strain,
     )
     try:

@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.marginal import FieldPrior, LimbSystem
+from opnav_workbench.bodies.disk.limb_field import FieldPrior
+from opnav_workbench.bodies.disk.marginal import LimbSystem
 
 __all__ = ["TunedPrior", "tuned"]
 
 USUAL = np.log([0.1, 0.4, 0.01])  # contrast, length (rad) and grain; and factors by which they vary:
 VARIETY = np.array([1.5, 0.8, 1.5, 1.2, np.inf])
-WIDEST, BEGIN_WITHIN = 3.0, 2.0
+WIDEST = 3.0
 # No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
 LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
 MOST_STEPS = 8
@@ -40,9 +41,7 @@ class _Slope(NamedTuple):
     curvature: FloatArray
 
 
-def tuned(
-    system: LimbSystem, start: FieldPrior, rough_px: float, least_hemispheres: float
-) -> TunedPrior:
+def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, least_hemispheres: float) -> TunedPrior:
     """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on.
 
     `FieldPrior.hemispheres` lies between the least and 1, every doubling as likely.

@@ -23,9 +23,9 @@ from opnav_workbench.bodies.disk.fit import (
     Unknown,
     columns_dn,
     disk_columns,
-    piece_angles,
 )
 from opnav_workbench.bodies.disk.limb_cells import depth_edges
+from opnav_workbench.bodies.disk.limb_field import piece_angles
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan, ScanSampler, lay_fan
 from opnav_workbench.bodies.silhouette import TURN, Outline

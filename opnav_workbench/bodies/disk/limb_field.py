@@ -1,0 +1,172 @@
+"""What pieces of a limb have of their own: an albedo at some arcs from the limb, and the limb's height.
+
+The albedo is a random field on the body: patches with a covariance that is exponential in the distance on it, as of a
+surface that is divided by boundaries at random places, and hemispheres that differ, which are few smooth modes. Patches and
+heights are a ring of blocks of pieces (`opnav_workbench.bodies.disk.ring`).
+
+Order  piece, node; the last of q nodes is the height of the limb, px, all others are albedos
+"""
+
+from dataclasses import dataclass
+from itertools import product
+from math import factorial
+
+import numpy as np
+
+from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo, hidden_albedo
+from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
+from opnav_workbench.bodies.place import RELIEF_RAD
+from opnav_workbench.bodies.silhouette import TURN
+
+__all__ = ["BLOCK", "FieldPrior", "LimbField", "limb_field", "piece_angles"]
+
+BLOCK = 4  # pieces: with their neighbors they hold distances up to 7
+BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot tell that from another center
+HIGHEST_DEGREE = 6  # of polynomials on a sphere: what is left out of the hemispheres is a thousandth
+APART = 1e-6  # variance of a node by itself: at the middle of a small disk those of all pieces are one place
+KEPT_VARIANCE = 1.0 - 1e-4  # by the modes of hemispheres
+
+
+@dataclass(frozen=True, slots=True)
+class FieldPrior:
+    """Hyperparameters of the random field.
+
+    Attributes
+    ----------
+    albedo
+        Relative standard deviation of the albedo.
+    length_rad
+        Over which it is correlated.
+    grain
+        Relative standard deviation of what differs from cell to cell.
+    rough_px
+        Standard deviation of the limb.
+    on_slopes
+        Whether the albedo is relative to the light of slopes that face the Sun: terrain shines where a smooth body has no
+        light.
+    hemispheres
+        What whole hemispheres differ by over what they may: over the albedo sigma of the body's figure.
+    """
+
+    albedo: float
+    length_rad: float
+    grain: float
+    rough_px: float
+    on_slopes: bool = False
+    hemispheres: float = 1.0
+
+    def logarithms(self) -> FloatArray:
+        """Return the logarithms (5,)."""
+        return np.log([self.albedo, self.length_rad, self.grain, self.rough_px, self.hemispheres])
+
+    @classmethod
+    def from_logarithms(cls, values: FloatArray, *, on_slopes: bool = False) -> "FieldPrior":
+        """Return the prior of logarithms (5,)."""
+        albedo, length, grain, rough, hemispheres = (float(v) for v in np.exp(values))
+        return cls(albedo, length, grain, rough, on_slopes, hemispheres)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbField:
+    """The field of a limb of j pieces, with k albedos in each.
+
+    Attributes
+    ----------
+    place : (j, k, 3) array
+        Of the nodes, on a unit sphere: x along pixel, y along line, z toward the camera.
+    modes : (j, k, r) array
+        Albedo of the hemispheres, for independent amplitudes of 1.
+    hidden
+        Albedo between the nodes.
+    """
+
+    place: FloatArray
+    modes: FloatArray
+    hidden: HiddenAlbedo
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces, j."""
+        return len(self.place)
+
+    def ring(self, prior: FieldPrior, brightness_dn: float) -> RingPrior:
+        """Return the precision of patches, DN, and heights as a ring of blocks of `BLOCK` pieces."""
+        two = np.arange(2 * BLOCK)
+        covariance = self._covariance(prior, brightness_dn, two)
+        s = len(covariance) // 2
+        return ring_prior(covariance[:s, :s], covariance[s:, :s], self.pieces // BLOCK)
+
+    def covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
+        """Return the covariance (j q, j q) of the whole field, hemispheres included."""
+        every = np.arange(self.pieces)
+        out = self._covariance(prior, brightness_dn, every)
+        j, k, r = self.modes.shape
+        flat = self.modes.reshape(j * k, r)
+        broad = (prior.hemispheres * brightness_dn) ** 2 * (flat @ flat.T)
+        out.reshape(j, k + 1, j, k + 1)[:, :-1, :, :-1] += broad.reshape(j, k, j, k)
+        return out
+
+    def _covariance(self, prior: FieldPrior, brightness_dn: float, pieces: np.ndarray) -> FloatArray:
+        """Return the covariance of patches and heights of some pieces (m,): (m q, m q)."""
+        m, k = len(pieces), self.place.shape[1]
+        place = self.place[pieces].reshape(-1, 3)
+        chord = np.arccos(np.clip(place @ place.T, -1.0, 1.0))
+        patches = (prior.albedo * brightness_dn) ** 2 * np.exp(-chord / prior.length_rad)
+        patches[np.diag_indices(len(patches))] *= 1.0 + APART
+        apart = np.abs(pieces[:, None] - pieces)
+        turn = np.minimum(apart, self.pieces - apart) * (TURN / self.pieces)
+        rough = prior.rough_px**2 * np.exp(-turn / RELIEF_RAD)
+        hidden = prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad)
+        out = np.zeros((m, k + 1, m, k + 1))
+        out[:, :-1, :, :-1] = patches.reshape(m, k, m, k)
+        out[:, -1, :, -1] = rough + hidden[np.ix_(pieces, pieces)]
+        return out.reshape(m * (k + 1), -1)
+
+
+def limb_field(
+    radius_px: float, width_px: float, node_rad: FloatArray, pieces: int, hemispheres: float
+) -> LimbField:
+    """Return the field of a limb.
+
+    Parameters
+    ----------
+    width_px
+        Sigma of the PSF, the pixel's own width included.
+    node_rad : (k,) array
+        Arcs from the limb at which the albedo has nodes.
+    pieces
+        That the limb has: so many times `BLOCK`.
+    hemispheres
+        What whole hemispheres may differ by, relative.
+    """
+    angle = piece_angles(pieces)
+    cos_b, sin_b = np.cos(node_rad), np.broadcast_to(np.sin(node_rad), (pieces, len(node_rad)))
+    x, y = np.cos(angle)[:, None] * cos_b, np.sin(angle)[:, None] * cos_b
+    place = np.stack([x, y, sin_b], axis=-1)
+    modes = hemispheres * _broad_modes(place.reshape(-1, 3))
+    hidden = hidden_albedo(radius_px, width_px, node_rad, pieces)
+    return LimbField(place, modes.reshape(*place.shape[:2], -1), hidden)
+
+
+def piece_angles(n: int) -> FloatArray:
+    """Return the middles (n,) of pieces of limb, rad."""
+    return np.asarray((np.arange(n) + 0.5) * (TURN / n))
+
+
+def _broad_modes(place: FloatArray) -> FloatArray:
+    """Return modes (n, r) of a field with the covariance exp((cos - 1) / `BROAD_RAD`^2) at places (n, 3) on a sphere.
+
+    With the exponential's power series every monomial x^a y^b z^c is a mode, of the variance 1 / (a! b! c!).
+    """
+    powers = [p for p in product(range(HIGHEST_DEGREE + 1), repeat=3) if sum(p) <= HIGHEST_DEGREE]
+    scaled = place / BROAD_RAD
+    each = [np.prod(scaled**p, axis=1) / np.sqrt(float(np.prod([factorial(e) for e in p]))) for p in powers]
+    monomials = np.stack(each, axis=1) * np.exp(-0.5 / BROAD_RAD**2)
+    variance, mix = np.linalg.eigh(monomials.T @ monomials)
+    left = np.cumsum(variance)
+    kept = left > (1.0 - KEPT_VARIANCE) * left[-1]
+    return np.asarray(monomials @ mix[:, kept])
