@@ -130,16 +130,10 @@ class LimbField:
 def limb_field(
     radius_px: float, width_px: float, node_rad: FloatArray, pieces: int, hemispheres: float
 ) -> LimbField:
-    """Return the field of a limb.
+    """Return the field of a limb; parameters as of `hidden_albedo`, `pieces` so many times `BLOCK`.
 
     Parameters
     ----------
-    width_px
-        Sigma of the PSF, the pixel's own width included.
-    node_rad : (k,) array
-        Arcs from the limb at which the albedo has nodes.
-    pieces
-        That the limb has: so many times `BLOCK`.
     hemispheres
         What whole hemispheres may differ by, relative.
     """
