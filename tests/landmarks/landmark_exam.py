@@ -4,6 +4,8 @@
     python tests/landmarks/landmark_exam.py --pictures 1 --size 1024 --ratios 1.0
     python tests/landmarks/landmark_exam.py --poses 100
 
+At 1024 px ask for the time alone: the shape that the maplets are cut from is as coarse as for 512.
+
 Truth      a bumpy ellipsoid, marched along 3 x 3 rays a pixel, Hapke's law with rough facets, albedo that no maplet knows in
            part, a PSF 8 % wider than is believed, shot and read noise
 Believed   maplets of a coarser, smoothed shape, half of the albedo's variance, McEwen's or Lambert's law, a wrong place
