@@ -1,7 +1,10 @@
 """The exam of landmark centers: truth drawn by another route than the templates. Run by hand; it takes some minutes.
 
     python tests/landmarks/landmark_exam.py --pictures 10 --cache FOLDER
+    python tests/landmarks/landmark_exam.py --pictures 1 --size 1024 --ratios 1.0
     python tests/landmarks/landmark_exam.py --poses 100
+
+At 1024 px ask for the time alone: the shape that the maplets are cut from is as coarse as for 512.
 
 Truth      a bumpy ellipsoid, marched along 3 x 3 rays a pixel, Hapke's law with rough facets, albedo that no maplet knows in
            part, a PSF 8 % wider than is believed, shot and read noise
@@ -36,6 +39,7 @@ PSF_PX, PSF_ERROR = 0.65, 1.08
 GAIN, READ_E = 1.0, 8.0
 FULL_E = 4000.0
 RATIOS = (0.5, 0.7, 1.0, 1.4, 2.0)
+FALSE_PX, FALSE_SIGMAS = 1.0, 6.0
 
 
 def exam_camera(size=512):
@@ -52,7 +56,11 @@ def looking(direction, camera):
     return camera.focal_from_camera.T @ np.stack([first, np.cross(third, first), third])
 
 
-def geometry(number, camera, diameter_px=430.0):
+WIDTH = 430.0 / 512.0  # of the body, of a picture's
+
+
+def geometry(number, camera):
+    diameter_px = WIDTH * camera.n_pixel
     random = np.random.default_rng([77, number])
     direction = random.normal(size=3)
     direction /= np.linalg.norm(direction)
@@ -69,7 +77,7 @@ def truth_body():
 
 
 def truth_picture(number, camera, body, cache):
-    file = None if cache is None else Path(cache) / f"truth{number}.npy"
+    file = None if cache is None else Path(cache) / f"truth{number}_{camera.n_pixel}.npy"
     place, sun, turn = geometry(number, camera)
     if file is not None and file.exists():
         return np.load(file), place, sun, turn
@@ -134,15 +142,24 @@ def main():
     parser.add_argument("--cache", default=None)
     parser.add_argument("--law", default="mcewen")
     parser.add_argument("--poses", type=int, default=0, help="camera positions at 5 km instead of centers")
-    parser.add_argument("--first", type=int, default=0, help="number of the first camera position")
+    parser.add_argument("--first", type=int, default=0, help="number of the first picture or camera position")
+    parser.add_argument("--size", type=int, default=512, help="px, of a picture")
+    parser.add_argument(
+        "--ratios", type=float, nargs="+", default=RATIOS, help="sample of a maplet over pixel"
+    )
     arguments = parser.parse_args()
     if arguments.poses:
         poses(arguments.first, arguments.poses)
         return
-    camera, body = exam_camera(), truth_body()
+    centers_exam(arguments)
+
+
+def centers_exam(arguments):
+    """Centers of landmarks, picture by picture, and what they come to by resolution ratio and in all."""
+    camera, body = exam_camera(arguments.size), truth_body()
     shape = body.shape(480, smooth=1.0)
     albedo = known_albedo(body)
-    pixel_km = 2.0 * RADII[1] / 430.0
+    pixel_km = 2.0 * RADII[1] / (WIDTH * arguments.size)
     law = (
         LunarLambert()
         if arguments.law == "mcewen"
@@ -150,9 +167,9 @@ def main():
     )
     sets = {}
     rows, table = [], SunTable()
-    for number in range(arguments.pictures):
+    for number in range(arguments.first, arguments.first + arguments.pictures):
         light, place, sun, turn = truth_picture(number, camera, body, arguments.cache)
-        ratio = RATIOS[number % len(RATIOS)]
+        ratio = arguments.ratios[number % len(arguments.ratios)]
         if ratio not in sets:
             sets[ratio] = make_maplets(
                 "BENNU",
@@ -170,7 +187,10 @@ def main():
         table.add(found.centers, up, sun, error, ok & (found.centers.emission_deg <= 60.0))
         sigma = np.sqrt(np.diagonal(found.covariance_px2, axis1=1, axis2=2))
         ratios = error[ok] / sigma[ok]
-        rows.append((error[ok], ratios, found.centers.emission_deg[ok], found.centers.incidence_deg[ok]))
+        sampled = np.full(ok.sum(), ratio)
+        rows.append(
+            (error[ok], ratios, found.centers.emission_deg[ok], found.centers.incidence_deg[ok], sampled)
+        )
         lost = (
             "no pose"
             if found.pose is None
@@ -184,17 +204,24 @@ def main():
             f"mean {error[ok].mean(axis=0).round(3)}, error/sigma {np.sqrt((ratios**2).mean()):.2f}, law share "
             f"{found.centers.law_share:.2f}, worst {np.abs(error[ok]).max(initial=0):.2f} px, {seconds:.1f} s, {lost}",
         )
-    error, ratios, emission, incidence = (np.concatenate(part) for part in zip(*rows, strict=True))
+    error, ratios, emission, incidence, sampled = (np.concatenate(part) for part in zip(*rows, strict=True))
     inside = (emission <= 60.0) & (incidence >= 10.0) & (incidence <= 70.0)
-    e, q = error[inside], ratios[inside]
-    false = np.hypot(*e.T) > np.maximum(1.0, 0)
-    say(
-        f"{len(e)} centers, emission 0..60, incidence 10..70 deg: rms {np.sqrt((e**2).mean()):.3f} px, "
-        f"median {np.median(np.hypot(*e.T)):.3f} px, error/sigma {np.sqrt((q**2).mean()):.2f}, "
-        f"false (above 1 px or 6 sigma) {100 * np.mean(false | (np.abs(q).max(axis=1) > 6)):.2f} %"
-    )
+    for ratio in np.unique(sampled):
+        say(f"ratio {ratio}: {summary(error, ratios, inside & (sampled == ratio))}")
+    say(f"emission 0..60, incidence 10..70 deg: {summary(error, ratios, inside)}")
     for line in table.lines():
         say(line)
+
+
+def summary(error, ratios, rows):
+    """Return what some centers come to, in words."""
+    e, q = error[rows], ratios[rows]
+    false = (np.hypot(*e.T) > FALSE_PX) | (np.abs(q).max(axis=1) > FALSE_SIGMAS)
+    return (
+        f"{len(e)} centers, rms {np.sqrt((e**2).mean()):.3f} px (sigmas {np.sqrt(np.mean((e / q) ** 2)):.3f}), median "
+        f"{np.median(np.hypot(*e.T)):.3f} px, error/sigma {np.sqrt((q**2).mean()):.2f}, "
+        f"false (above {FALSE_PX:g} px or {FALSE_SIGMAS:g} sigma) {100 * np.mean(false):.2f} %"
+    )
 
 
 def near_camera():
@@ -215,6 +242,7 @@ def poses(first, count):
     )
     law = Hapke(w=0.3, b0=0.6, h=0.05, asymmetry=-0.3, roughness_deg=18.0)
     within = solved = 0
+    pixels = []
     for number in range(first, first + count):
         place, sun, turn = geometry(1000 + number, camera)
         place *= 5.0 / np.linalg.norm(place)
@@ -230,11 +258,29 @@ def poses(first, count):
         solved += 1
         within += square < 14.16  # 99.73 % of 3 degrees of freedom: 3 sigma
         sigma = np.sqrt(toward @ found.pose.position_covariance_km2 @ toward)
+        px_km = range_by_pixel_km(found.centers, found.accepted, toward)
+        pixels.append(float(off @ toward) / px_km)
         say(
             f"{number}: {found.accepted.sum()} landmarks, rms {np.sqrt((error[found.accepted] ** 2).mean()):.3f} px; "
-            f"position off {1e3 * np.linalg.norm(off):.2f} m (along {1e3 * off @ toward:.2f}, sigma {1e3 * sigma:.2f}), "
-            f"chi-squared {square:.1f} of 3; within 3 sigma {within} of {solved}; {seconds:.1f} s"
+            f"position off {1e3 * np.linalg.norm(off):.2f} m (along {1e3 * off @ toward:.2f}, sigma {1e3 * sigma:.2f}; "
+            f"{1e3 * px_km:.1f} m a pixel of all), chi-squared {square:.1f} of 3; within 3 sigma {within} of {solved}; "
+            f"{seconds:.1f} s"
         )
+    say(
+        f"{solved} of {count} solved, {within} within 3 sigma; along the range, in what the geometry makes of a pixel: rms "
+        f"{np.sqrt(np.mean(np.square(pixels))):.3f}, largest {np.abs(pixels).max():.3f}"
+    )
+
+
+def range_by_pixel_km(centers, rows, toward):
+    """Return the geometry's factor: how well centers of 1 px each, alone, tell the place along the range, km."""
+    at = centers.partials
+    design = np.concatenate([at.spacecraft_px_per_km[rows], at.attitude_px_per_rad[rows]], axis=2).reshape(
+        -1, 6
+    )
+    scale = np.linalg.norm(design, axis=0)
+    covariance = np.linalg.inv((design / scale).T @ (design / scale)) / np.outer(scale, scale)
+    return float(np.sqrt(toward @ covariance[:3, :3] @ toward))
 
 
 def pose_square(pose, place, turn):
