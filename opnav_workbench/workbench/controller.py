@@ -375,7 +375,9 @@ class WorkbenchController:
 
     def _opened(self, session: ImageSession) -> None:
         def changed(_: ImageSession) -> None:
-            if self.runner.running is None and session is self.queue.opened:
+            # What is handled now is painted once, at its end: an undo may take back several steps.
+            waits = self.runner.running is not None or self.runner.repainting
+            if not waits and session is self.queue.opened:
                 self.refresh()
 
         session.on_change(changed)

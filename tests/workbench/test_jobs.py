@@ -220,6 +220,16 @@ def test_a_decision_is_painted_before_the_pointing_follows_it(star_hands):
     assert "accept_stars" not in star_hands.steps  # one undo takes both back
 
 
+def test_an_undo_of_several_steps_is_painted_once(star_hands):
+    """A decision and the pointing that followed it are taken back together: nobody sees what lies between."""
+    star_hands.press("p", "r", "1")
+    painted = []
+    star_hands.controller.on_render = painted.append
+    star_hands.press("Ctrl+z")
+    assert star_hands.steps[-1] == "repoint"  # two steps went
+    assert len([regions for regions in painted if "panel" in regions]) == 1
+
+
 def test_a_click_while_an_outcome_is_drawn_locks_nothing(solved_sessions, kernels):
     """A click waits for what a step's end changes, and that for no click."""
     view = ImageView()
