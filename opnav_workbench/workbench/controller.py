@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from weakref import WeakSet
 
@@ -34,6 +33,7 @@ from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, Que
 from opnav_workbench.workbench.landmarks_tab import LandmarksTab
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
+from opnav_workbench.workbench.overlays import look_alike
 from opnav_workbench.workbench.pointing_tab import PointingTab
 from opnav_workbench.workbench.stars_tab import StarsTab
 from opnav_workbench.workbench.status_line import Status
@@ -47,19 +47,6 @@ GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
-
-
-# Of a session's state, what a picture does not show: a star is drawn by whether it is in use, not by who said so.
-NOT_DRAWN = frozenset({"decisions", "notes", "user_notes"})
-
-
-def look_alike(one: SessionState | None, other: SessionState) -> bool:
-    """Whether a picture shows the same of two states of a session: most steps put in a few new parts."""
-    if one is None:
-        return False
-    drawn = (field.name for field in fields(other) if field.name not in NOT_DRAWN | {"status"})
-    same = all(getattr(one, name) is getattr(other, name) for name in drawn)
-    return same and one.status == other.status
 
 
 class WorkbenchController:
