@@ -198,9 +198,12 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
             assert seen["inside"]
             assert seen["figure"][3] <= size[1]
             assert page.evaluate(CUT_OFF) == [], tab
+        page.keyboard.press("1")
+        assert readout_is_seen(page)
         page.keyboard.press("F")
         wide = 0.7 * size[1]
         assert min(settled(page, lambda now: min(now["frame"]) >= wide)["frame"]) >= wide
+        assert readout_is_seen(page)
         page.keyboard.press("F")
         back, ground = page.evaluate(
             """() => { const style = getComputedStyle(document.querySelector('.ow-window .ow-status .status'));
@@ -213,6 +216,25 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
         page.keyboard.press("h")
         page.set_viewport_size({"width": 1280, "height": 800})
         page.evaluate("() => opnavTheme(false)")
+
+
+def readout_is_seen(page):
+    """Whether all that is told of the place under the cursor stands in the room of the picture, and on nothing else."""
+    picture = page.locator(".ow-window .opnav-stage .opnav-figure").first.bounding_box()
+    page.mouse.move(picture["x"] + 0.6 * picture["width"], picture["y"] + 0.5 * picture["height"])
+    page.wait_for_function(
+        "() => document.querySelector('.ow-window .opnav-read-place').textContent.startsWith('pixel')"
+    )
+    return page.evaluate("""() => {
+      const shown = document.querySelector('.ow-window');
+      const room = shown.querySelector('.opnav-picture').getBoundingClientRect();
+      const rows = [...shown.querySelectorAll('.opnav-readout > *')].filter((one) => one.textContent && one.offsetWidth);
+      return rows.every((one) => {
+        const { left, top, right, bottom } = one.getBoundingClientRect();
+        const seen = document.elementFromPoint(left + 3, (top + bottom) / 2);
+        return right <= room.right + 1 && bottom <= room.bottom + 1 && (one === seen || one.contains(seen));
+      });
+    }""")
 
 
 def brightness(css):
