@@ -254,6 +254,21 @@ def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
     assert settled(page, lambda now: now["bench"] == [0, 0, 1280, 800])["bench"] == [0, 0, 1280, 800]
 
 
+def test_another_tab_has_a_page_of_its_own(bench):
+    """What nothing is kept of is not changed node by node; what a key changes a part of is."""
+    page = bench.page
+    go(page, "lorri_4x4.fit")
+    for key, tab, stays in (("2", "2", False), ("j", "2", True), ("Escape", "2", True), ("1", "1", False)):
+        page.evaluate("() => { window.owPage = document.querySelector('.ow-window .ow-panel .page'); }")
+        before = page.inner_html(".ow-window .ow-panel")
+        page.keyboard.press(key)
+        page.wait_for_function(
+            "html => document.querySelector('.ow-window .ow-panel').innerHTML !== html", arg=before
+        )
+        page.locator(".ow-panel .tabs button[aria-pressed=true]", has_text=tab).wait_for()
+        assert page.evaluate("() => owPage.isConnected") is stays, key
+
+
 def test_a_tab_brings_its_object_into_view(bench):
     page = bench.page
     center = """() => { const p = Bokeh.documents.at(-1).get_model_by_name('opnav-picture');
