@@ -86,6 +86,9 @@ def go(page, name):
     page.locator(".ow-queue li", has_text=name).click()
 
 
+BEHIND = "() => getComputedStyle(document.querySelector('#main .jp-Notebook')).visibility"
+
+
 def test_it_stands_alone_in_the_window_and_runs(bench):
     page = bench.page
     seen = settled(page)
@@ -94,7 +97,8 @@ def test_it_stands_alone_in_the_window_and_runs(bench):
     assert min(seen["frame"]) >= 480
     assert seen["figure"][3] <= 800
     assert page.locator("#opnav-cover").count() == 0
-    texts = page.locator(".jp-OutputArea-output").all_inner_texts()
+    assert page.evaluate(BEHIND) == "hidden"  # nor painted
+    texts = page.locator(".jp-OutputArea-output").all_text_contents()
     (pending,) = [text for text in texts if "SelectionPending" in text]
     assert len(pending.strip().splitlines()) == 1
     # Keys arrive without a click.
@@ -248,6 +252,7 @@ def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
     page.keyboard.press("W")
     seen = settled(page, lambda now: now["bench"][1] > 60)
     assert seen["bench"][1] > 60  # below JupyterLab's bars
+    assert page.evaluate(BEHIND) == "visible"
     assert seen["bench"][3] <= 800
     assert min(seen["frame"]) >= 200  # beside JupyterLab's files
     page.keyboard.press("W")
