@@ -275,7 +275,8 @@ def star_residuals(session: ImageSession) -> StarResiduals:
     inputs, state = session.inputs, session.state
     kept_of, kept_at, kept = _KEPT.get(session, (None, None, None))
     if kept is None or kept_of is not inputs or not look_alike(kept_at, state):
-        kept = _residuals_of(session)
+        fresh = _residuals_of(session)
+        kept = fresh if kept is None or not fresh.is_as(kept) else kept
     _KEPT[session] = (inputs, state, kept)
     return kept
 
@@ -358,7 +359,7 @@ class ResidualPage:
 
     def html(self, rows: StarResiduals, focus: str) -> Markup | None:
         """Return the plots with the star `focus` standing out; None without a star in use."""
-        if self._rows is not rows and (self._rows is None or not rows.is_as(self._rows)):
+        if self._rows is not rows:
             self._plots = residual_plots(rows, self._size)
             if self._plots is not None:
                 self._drawn = render("residual_plots.html", residuals=self._plots)

@@ -93,7 +93,9 @@ def test_a_key_draws_what_it_changes_and_no_more(star_hands, monkeypatch):
     star_hands.press("2", "1", "2")
     assert drawn.count("pointing_plots.html") == 1
     star_hands.press("p")
-    assert drawn.count("pointing_plots.html") == 2  # of another solution
+    assert drawn.count("pointing_plots.html") == 1  # solved again, and the same
+    star_hands.press("1", "r", "1", "2")
+    assert drawn.count("pointing_plots.html") == 2  # of fewer stars
 
 
 def test_boxes_know_what_was_decided_on_their_stars(star_hands):
