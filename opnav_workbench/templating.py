@@ -32,6 +32,7 @@ def environment(folder: Path) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        auto_reload=False,  # to look at each file's date at each use gives a thread that works the turn, some ms each time
     )
     made.filters |= {"words": words, "number": _number}
     return made

@@ -5,12 +5,10 @@ and the rest waits in line. Images are opened by the runner too, and the neighbo
 wrong appears in the status line. Tests drive this class with a fake picture.
 """
 
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import fields
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from weakref import WeakSet
 
@@ -35,10 +33,11 @@ from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, Que
 from opnav_workbench.workbench.landmarks_tab import LandmarksTab
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
+from opnav_workbench.workbench.overlays import look_alike
 from opnav_workbench.workbench.pointing_tab import PointingTab
 from opnav_workbench.workbench.stars_tab import StarsTab
 from opnav_workbench.workbench.status_line import Status
-from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab
+from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, giving_way
 from opnav_workbench.workbench.viewer import Layer, Viewer
 
 __all__ = ["REGIONS", "WorkbenchController"]
@@ -48,35 +47,6 @@ GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
-
-
-# A thread that works gives way to the others so often; Python's own 5 ms add up to a tenth of a second for a key, which
-# waits for its turn at each message, lock and file.
-GIVE_WAY_S = 0.0005
-
-
-@contextmanager
-def giving_way() -> Iterator[None]:
-    """Let the analyst's keys come first while a thread works ahead."""
-    usual_s = sys.getswitchinterval()
-    sys.setswitchinterval(min(usual_s, GIVE_WAY_S))
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(usual_s)
-
-
-# Of a session's state, what a picture does not show: a star is drawn by whether it is in use, not by who said so.
-NOT_DRAWN = frozenset({"decisions", "notes", "user_notes"})
-
-
-def look_alike(one: SessionState | None, other: SessionState) -> bool:
-    """Whether a picture shows the same of two states of a session: most steps put in a few new parts."""
-    if one is None:
-        return False
-    drawn = (field.name for field in fields(other) if field.name not in NOT_DRAWN | {"status"})
-    same = all(getattr(one, name) is getattr(other, name) for name in drawn)
-    return same and one.status == other.status
 
 
 class WorkbenchController:
@@ -333,7 +303,7 @@ class WorkbenchController:
 
     def _work_ahead(self) -> None:
         near: list[ImageSession] = []
-        with giving_way():
+        with giving_way:
             while not self._is_ahead_of(near):
                 self._open_next()
                 near = self._neighbors()
@@ -375,7 +345,9 @@ class WorkbenchController:
 
     def _opened(self, session: ImageSession) -> None:
         def changed(_: ImageSession) -> None:
-            if self.runner.running is None and session is self.queue.opened:
+            # What is handled now is painted once, at its end: an undo may take back several steps.
+            waits = self.runner.running is not None or self.runner.repainting
+            if not waits and session is self.queue.opened:
                 self.refresh()
 
         session.on_change(changed)

@@ -8,7 +8,7 @@ Masks      runs of bad or saturated pixels along lines, as rectangles with edges
 Sky grid   lines of right ascension and declination with labels, both in degrees, minutes and seconds of arc
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -17,7 +17,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import apparent_direction, radec_from_unit, terminator_points, unit_from_radec
 from opnav_workbench.scene import BodyPrediction, predict_body
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, SessionState
 from opnav_workbench.session.pointing import best_attitude
 from opnav_workbench.targets import TargetState
 
@@ -29,12 +29,28 @@ __all__ = [
     "expected_camera",
     "expected_directions",
     "expected_places",
+    "look_alike",
     "mask_runs",
     "predicted_body",
     "sky_grid",
     "star_facts",
     "star_marks",
 ]
+
+
+# ---- What of a session is seen.
+
+# Of a session's state, what a picture does not show: a star is drawn by whether it is in use, not by who said so.
+NOT_DRAWN = frozenset({"decisions", "notes", "user_notes"})
+
+
+def look_alike(one: SessionState | None, other: SessionState) -> bool:
+    """Whether a picture shows the same of two states of a session: most steps put in a few new parts."""
+    if one is None:
+        return False
+    drawn = (field.name for field in fields(other) if field.name not in NOT_DRAWN | {"status"})
+    same = all(getattr(one, name) is getattr(other, name) for name in drawn)
+    return same and one.status == other.status
 
 
 # ---- Stars over the picture: predicted, used, rejected, missing; and residual vectors.

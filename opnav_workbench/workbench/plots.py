@@ -6,6 +6,7 @@ picture, enlarged by a round factor that the title tells. Residuals are observed
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from markupsafe import Markup
@@ -13,9 +14,9 @@ from numpy.typing import ArrayLike
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
-from opnav_workbench.session import ImageSession
+from opnav_workbench.session import ImageSession, SessionState
 from opnav_workbench.workbench.markup import render
-from opnav_workbench.workbench.overlays import expected_attitude
+from opnav_workbench.workbench.overlays import expected_attitude, look_alike
 
 __all__ = [
     "ResidualPage",
@@ -265,8 +266,22 @@ class StarResiduals:
         return all(np.array_equal(getattr(self, one), getattr(other, one), equal_nan=True) for one in names)
 
 
+# As last asked for, with the inputs and the state that they are of.
+_KEPT: WeakKeyDictionary[ImageSession, tuple[object, SessionState, StarResiduals]] = WeakKeyDictionary()
+
+
 def star_residuals(session: ImageSession) -> StarResiduals:
-    """Return the residuals of the stars in use, as the session stands."""
+    """Return the residuals of the stars in use, as the session stands: the same object as long as they are the same."""
+    inputs, state = session.inputs, session.state
+    kept_of, kept_at, kept = _KEPT.get(session, (None, None, None))
+    if kept is None or kept_of is not inputs or not look_alike(kept_at, state):
+        fresh = _residuals_of(session)
+        kept = fresh if kept is None or not fresh.is_as(kept) else kept
+    _KEPT[session] = (inputs, state, kept)
+    return kept
+
+
+def _residuals_of(session: ImageSession) -> StarResiduals:
     state, context = session.state, session.context
     stars, centers = state.a_priori, state.centers
     size_px = (context.camera.n_pixel, context.camera.n_line)
@@ -344,10 +359,11 @@ class ResidualPage:
 
     def html(self, rows: StarResiduals, focus: str) -> Markup | None:
         """Return the plots with the star `focus` standing out; None without a star in use."""
-        if self._rows is None or not rows.is_as(self._rows):
-            self._rows, self._plots = rows, residual_plots(rows, self._size)
+        if self._rows is not rows:
+            self._plots = residual_plots(rows, self._size)
             if self._plots is not None:
                 self._drawn = render("residual_plots.html", residuals=self._plots)
+        self._rows = rows
         if self._plots is None:
             return None
         first, *others = self._drawn.split(FOCUS_PLACE)

@@ -7,15 +7,17 @@ of iterations is the paper's Table 2.
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import SessionError
+from opnav_workbench.session import ImageSession
 from opnav_workbench.stars.pointing import PointingSolution
 from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 from opnav_workbench.workbench.actions import NUDGE, TWO_STARS, ActionRegistry
 from opnav_workbench.workbench.field_depth import field_depth
 from opnav_workbench.workbench.markup import render
-from opnav_workbench.workbench.plots import residual_plots, star_residuals, vector_plot
+from opnav_workbench.workbench.plots import StarResiduals, residual_plots, star_residuals, vector_plot
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, Tab
 from opnav_workbench.workbench.viewer import Layer
 
@@ -111,6 +113,7 @@ class PointingTab(Tab):
     def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
         super().__init__(runner, registry)
         self.marks = TwoStarMarks()
+        self._plotted: tuple[StarResiduals, Markup | None] | None = None
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -146,7 +149,7 @@ class PointingTab(Tab):
     def html(self) -> str:
         """Return the page."""
         session, tool = self.runner.session, self.runner.tool
-        rows, stars = star_residuals(session), session.state.a_priori
+        stars = session.state.a_priori
         listed = () if stars is None else stars.id[np.argsort(stars.mag)][:LISTED_STARS].tolist()
         return render(
             "pointing.html",
@@ -161,9 +164,17 @@ class PointingTab(Tab):
             marks=self.marks,
             listed=listed,
             solution=solution_shown(session.state.pointing, session.state.contradictions),
-            residuals=residual_plots(rows, RESIDUAL_PLOT_PX),
-            vectors=vector_plot(rows, VECTOR_PLOT_PX),
+            plots=self._plots(session),
         )
+
+    def _plots(self, session: ImageSession) -> Markup | None:
+        """Return the plots of the residuals, drawn once for residuals that stay as they are; None without a star in use."""
+        rows = star_residuals(session)
+        if self._plotted is None or self._plotted[0] is not rows:
+            residuals = residual_plots(rows, RESIDUAL_PLOT_PX)
+            shown = {"residuals": residuals, "vectors": vector_plot(rows, VECTOR_PLOT_PX)}
+            self._plotted = rows, None if residuals is None else render("pointing_plots.html", **shown)
+        return self._plotted[1]
 
     def _field_line(self) -> str:
         found = self.runner.session.state.star_field

@@ -16,13 +16,14 @@ from markupsafe import Markup
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.errors import SessionError
-from opnav_workbench.session import ImageSession, JournalEntry
+from opnav_workbench.session import ImageSession, JournalEntry, SessionState
 from opnav_workbench.session.context import typical_noise_dn
 from opnav_workbench.session.star_boxes import StarBox, StarRows, star_rows
 from opnav_workbench.templating import png_url, words
 from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_REASONS, Action, ActionRegistry
 from opnav_workbench.workbench.markup import PagePicture, render
-from opnav_workbench.workbench.plots import ResidualPage, StarResiduals, star_residuals
+from opnav_workbench.workbench.overlays import look_alike
+from opnav_workbench.workbench.plots import ResidualPage, star_residuals
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, next_of
 
@@ -185,6 +186,8 @@ class StarPage:
     ----------
     cards
         Those on the page.
+    small
+        The same as they are drawn, where they do not stand in a table.
     focus
         The star under decision.
     first, n_all, n_accepted, n_rejected
@@ -202,6 +205,7 @@ class StarPage:
     """
 
     cards: tuple[StarCard, ...]
+    small: Sequence[Markup]
     focus: StarCard
     first: int
     n_all: int
@@ -301,12 +305,20 @@ def expected_from(session: ImageSession) -> str:
 class _StarCache:
     """Stars as last asked for; they are the same as long as state and order are."""
 
-    state: object
+    state: SessionState
     rows: StarRows
     order: tuple[str, bool] = ("", False)
     ordered: StarRows | None = None
     boxes: dict[str, StarBox] = field(default_factory=dict)  # of those that were shown
-    residuals: StarResiduals | None = None
+    drawn: dict[tuple[StarCard, bool], Markup] = field(
+        default_factory=dict
+    )  # cards, and whether under decision
+
+    def take_over(self, before: "_StarCache") -> None:
+        """Keep what was made of stars that look as before: a decision is on one of them."""
+        decided = {star for star, _ in self.state.decisions.items() ^ before.state.decisions.items()}
+        self.boxes |= {star: box for star, box in before.boxes.items() if star not in decided}
+        self.drawn |= {of: card for of, card in before.drawn.items() if of[0].id not in decided}
 
 
 class StarsTab(Tab):
@@ -334,7 +346,9 @@ class StarsTab(Tab):
             if session.state.a_priori is not None:
                 rows = star_rows(session.context, session.inputs, session.state)
                 rows = rows.taken(np.flatnonzero([status != "off_detector" for status in rows.status]))
-            self._cached = _StarCache(session.state, rows)
+            before, self._cached = self._cached, _StarCache(session.state, rows)
+            if before is not None and look_alike(before.state, session.state):
+                self._cached.take_over(before)
         return self._cached
 
     @property
@@ -415,6 +429,7 @@ class StarsTab(Tab):
         verdicts = [decisions.get(star, ("",))[0] for star in self.ids]
         return StarPage(
             cards=cards,
+            small=() if self.table else self._drawn(cards, focus, self._noise_dn()),
             focus=cards[place - first],
             first=first,
             n_all=len(self.ids),
@@ -431,14 +446,17 @@ class StarsTab(Tab):
             columns=tuple((name, heading, self._sign(name)) for name, (heading, _) in ORDERS.items()),
             pointing=self.runner.pointing_line(),
             noise_dn=self._noise_dn(),
-            residuals=self._plots.html(self._residuals(session), focus),
+            residuals=self._plots.html(star_residuals(session), focus),
         )
 
-    def _residuals(self, session: ImageSession) -> StarResiduals:
-        """Residuals of the stars in use, found once for each state."""
-        if self._cache.residuals is None:
-            self._cache.residuals = star_residuals(session)
-        return self._cache.residuals
+    def _drawn(self, cards: Sequence[StarCard], focus: str, noise_dn: float) -> list[Markup]:
+        """Return small cards as they stand in the page, each drawn once for what it shows."""
+        kept, shown = self._cache.drawn, []
+        for of in ((card, card.id == focus) for card in cards):
+            if of not in kept:
+                kept[of] = render("star_card.html", card=of[0], here=of[1], noise_dn=noise_dn)
+            shown.append(kept[of])
+        return shown
 
     def _sign(self, order: str) -> str:
         return "" if order != self.order else "▼" if self.descending else "▲"

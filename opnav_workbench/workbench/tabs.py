@@ -6,6 +6,7 @@ waits in line. A decision on stars is followed by a repointing where a pointing 
 takes both back.
 """
 
+import sys
 import threading
 import time
 from collections import deque
@@ -33,6 +34,7 @@ __all__ = [
     "StepRunner",
     "Tab",
     "entry_words",
+    "giving_way",
     "next_of",
     "typed_number",
 ]
@@ -122,6 +124,36 @@ def typed_number(typed: str) -> float | None:
     except ValueError:
         return None
     return number if np.isfinite(number) else None
+
+
+# ---- Threads that work, and the analyst's keys.
+
+# A thread that works gives way to the others so often; Python's own 5 ms add up to a tenth of a second for a key, which
+# waits for its turn at each message, lock and file.
+GIVE_WAY_S = 0.0005
+
+
+class GivingWay:
+    """Lets the analyst's keys come first as long as any thread works: ``with giving_way: ...``."""
+
+    def __init__(self) -> None:
+        self._lock, self._working, self._usual_s = threading.Lock(), 0, 0.0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._working:
+                self._usual_s = sys.getswitchinterval()
+                sys.setswitchinterval(min(self._usual_s, GIVE_WAY_S))
+            self._working += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._working -= 1
+            if not self._working:
+                sys.setswitchinterval(self._usual_s)
+
+
+giving_way = GivingWay()  # one for all, as the interpreter has one interval
 
 
 # ---- The runner: the session at hand, the picture, the status line and the tool in use; and how steps are run.
@@ -256,7 +288,8 @@ class StepRunner:
         try:
             if session is not None:
                 session.checkpoint = self.checkpoint
-            step.work()
+            with giving_way:
+                step.work()
         except Exception as error:  # shown in the status line, whatever it is
             step.error = error
         with step.concluding:

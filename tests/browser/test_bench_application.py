@@ -86,6 +86,9 @@ def go(page, name):
     page.locator(".ow-queue li", has_text=name).click()
 
 
+BEHIND = "() => getComputedStyle(document.querySelector('#main .jp-Notebook')).visibility"
+
+
 def test_it_stands_alone_in_the_window_and_runs(bench):
     page = bench.page
     seen = settled(page)
@@ -94,7 +97,8 @@ def test_it_stands_alone_in_the_window_and_runs(bench):
     assert min(seen["frame"]) >= 480
     assert seen["figure"][3] <= 800
     assert page.locator("#opnav-cover").count() == 0
-    texts = page.locator(".jp-OutputArea-output").all_inner_texts()
+    assert page.evaluate(BEHIND) == "hidden"  # nor painted
+    texts = page.locator(".jp-OutputArea-output").all_text_contents()
     (pending,) = [text for text in texts if "SelectionPending" in text]
     assert len(pending.strip().splitlines()) == 1
     # Keys arrive without a click.
@@ -198,9 +202,12 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
             assert seen["inside"]
             assert seen["figure"][3] <= size[1]
             assert page.evaluate(CUT_OFF) == [], tab
+        page.keyboard.press("1")
+        assert readout_is_seen(page)
         page.keyboard.press("F")
         wide = 0.7 * size[1]
         assert min(settled(page, lambda now: min(now["frame"]) >= wide)["frame"]) >= wide
+        assert readout_is_seen(page)
         page.keyboard.press("F")
         back, ground = page.evaluate(
             """() => { const style = getComputedStyle(document.querySelector('.ow-window .ow-status .status'));
@@ -215,6 +222,25 @@ def test_all_of_it_is_in_the_window(bench, size, least, dark):
         page.evaluate("() => opnavTheme(false)")
 
 
+def readout_is_seen(page):
+    """Whether all that is told of the place under the cursor stands in the room of the picture, and on nothing else."""
+    picture = page.locator(".ow-window .opnav-stage .opnav-figure").first.bounding_box()
+    page.mouse.move(picture["x"] + 0.6 * picture["width"], picture["y"] + 0.5 * picture["height"])
+    page.wait_for_function(
+        "() => document.querySelector('.ow-window .opnav-read-place').textContent.startsWith('pixel')"
+    )
+    return page.evaluate("""() => {
+      const shown = document.querySelector('.ow-window');
+      const room = shown.querySelector('.opnav-picture').getBoundingClientRect();
+      const rows = [...shown.querySelectorAll('.opnav-readout > *')].filter((one) => one.textContent && one.offsetWidth);
+      return rows.every((one) => {
+        const { left, top, right, bottom } = one.getBoundingClientRect();
+        const seen = document.elementFromPoint(left + 3, (top + bottom) / 2);
+        return right <= room.right + 1 && bottom <= room.bottom + 1 && (one === seen || one.contains(seen));
+      });
+    }""")
+
+
 def brightness(css):
     """Share of a color (rgb or gray) that is bright."""
     numbers = [float(number) for number in re.findall(r"[\d.]+", css)[:3]]
@@ -226,10 +252,26 @@ def test_notebook_stands_behind_it_and_the_window_comes_back(bench):
     page.keyboard.press("W")
     seen = settled(page, lambda now: now["bench"][1] > 60)
     assert seen["bench"][1] > 60  # below JupyterLab's bars
+    assert page.evaluate(BEHIND) == "visible"
     assert seen["bench"][3] <= 800
     assert min(seen["frame"]) >= 200  # beside JupyterLab's files
     page.keyboard.press("W")
     assert settled(page, lambda now: now["bench"] == [0, 0, 1280, 800])["bench"] == [0, 0, 1280, 800]
+
+
+def test_another_tab_has_a_page_of_its_own(bench):
+    """What nothing is kept of is not changed node by node; what a key changes a part of is."""
+    page = bench.page
+    go(page, "lorri_4x4.fit")
+    for key, tab, stays in (("2", "2", False), ("j", "2", True), ("Escape", "2", True), ("1", "1", False)):
+        page.evaluate("() => { window.owPage = document.querySelector('.ow-window .ow-panel .page'); }")
+        before = page.inner_html(".ow-window .ow-panel")
+        page.keyboard.press(key)
+        page.wait_for_function(
+            "html => document.querySelector('.ow-window .ow-panel').innerHTML !== html", arg=before
+        )
+        page.locator(".ow-panel .tabs button[aria-pressed=true]", has_text=tab).wait_for()
+        assert page.evaluate("() => owPage.isConnected") is stays, key
 
 
 def test_a_tab_brings_its_object_into_view(bench):

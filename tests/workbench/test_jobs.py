@@ -1,5 +1,6 @@
 """Slow work of the workbench: opening with a page of its own, keys that wait in line, neighbors opened ahead, one undo."""
 
+import sys
 import threading
 import time
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from opnav_workbench.workbench.app import Workbench
 from opnav_workbench.workbench.controller import WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue, QueueItem
 from opnav_workbench.workbench.image_view import ImageView
+from opnav_workbench.workbench.tabs import GIVE_WAY_S, giving_way
 
 CAUSE = "third.fit: the header gives no time; add one."
 
@@ -218,6 +220,32 @@ def test_a_decision_is_painted_before_the_pointing_follows_it(star_hands):
     assert "pointing: " in star_hands.said  # both are told in the end
     star_hands.press("Ctrl+z")
     assert "accept_stars" not in star_hands.steps  # one undo takes both back
+
+
+def test_an_undo_of_several_steps_is_painted_once(star_hands):
+    """A decision and the pointing that followed it are taken back together: nobody sees what lies between."""
+    star_hands.press("p", "r", "1")
+    painted = []
+    star_hands.controller.on_render = painted.append
+    star_hands.press("Ctrl+z")
+    assert star_hands.steps[-1] == "repoint"  # two steps went
+    assert len([regions for regions in painted if "panel" in regions]) == 1
+
+
+def test_threads_that_work_give_way_until_the_last_has_ended():
+    usual_s = sys.getswitchinterval()
+    with giving_way:
+        with giving_way:
+            pass
+        assert sys.getswitchinterval() == pytest.approx(GIVE_WAY_S)
+    assert sys.getswitchinterval() == usual_s
+
+
+def test_a_step_gives_way_to_keys(star_hands, monkeypatch):
+    seen = []
+    monkeypatch.setattr(ImageSession, "repoint", lambda *_, **__: seen.append(sys.getswitchinterval()))
+    star_hands.press("p")
+    assert seen == [pytest.approx(GIVE_WAY_S)]
 
 
 def test_a_click_while_an_outcome_is_drawn_locks_nothing(solved_sessions, kernels):

@@ -5,6 +5,8 @@ import pytest
 
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.star_boxes import star_rows
+from opnav_workbench.workbench import plots, pointing_tab, stars_tab
+from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.stars_tab import short_name
 
 
@@ -63,6 +65,46 @@ def test_residual_plots_follow_the_stars(star_hands):
     assert (
         star_hands.panel.count('class="pt pixel"') == solved.count('class="pt pixel"') - 2
     )  # one in each plot
+
+
+def test_a_key_draws_what_it_changes_and_no_more(star_hands, monkeypatch):
+    """Cards of stars that stay as they are, and plots of residuals that do, are drawn once."""
+    star_hands.press("p")
+    before = star_hands.panel
+    drawn = []
+
+    def counted(template, **content):
+        drawn.append(template)
+        return render(template, **content)
+
+    for module in (stars_tab, pointing_tab, plots):
+        monkeypatch.setattr(module, "render", counted)
+    star_hands.press("n")
+    assert drawn.count("star_card.html") == 2  # the one left, and the one come to
+    assert "residual_plots.html" not in drawn
+    star_hands.press("n", "ArrowLeft", "ArrowLeft")
+    assert star_hands.panel == before
+    drawn.clear()
+    first = star_hands.controller.stars.focused.id
+    star_hands.session.accept_stars([first])
+    assert drawn.count("star_card.html") == 1
+    assert f'class="card accepted here" data-act="star" data-arg="{first}"' in star_hands.panel
+    drawn.clear()
+    star_hands.press("2", "1", "2")
+    assert drawn.count("pointing_plots.html") == 1
+    star_hands.press("p")
+    assert drawn.count("pointing_plots.html") == 1  # solved again, and the same
+    star_hands.press("1", "r", "1", "2")
+    assert drawn.count("pointing_plots.html") == 2  # of fewer stars
+
+
+def test_boxes_know_what_was_decided_on_their_stars(star_hands):
+    first, second = star_hands.controller.stars.ids[:2]
+    star_hands.press("n", "ArrowLeft", "a")
+    boxes = star_hands.controller.stars.boxes([first, second])
+    assert [box.verdict for box in boxes] == ["accepted", ""]
+    star_hands.press("Ctrl+z")
+    assert [box.verdict for box in star_hands.controller.stars.boxes([first, second])] == ["", ""]
 
 
 def test_long_names_keep_what_tells_them_apart():

@@ -303,10 +303,10 @@ def _pair_attitudes(stars: PointingProblem) -> FloatArray:
 
 
 def _pairs(n: int) -> IntArray:
-    pairs = np.array(list(combinations(range(n), 2)))
+    pairs = np.stack(np.triu_indices(n, 1), axis=1)
     if len(pairs) <= MAX_PAIRS:
         return pairs
-    return np.random.default_rng(SEED).permutation(pairs)[:MAX_PAIRS]
+    return pairs[np.random.default_rng(SEED).permutation(len(pairs))[:MAX_PAIRS]]
 
 
 def _triads(directions: FloatArray, pairs: IntArray) -> FloatArray:

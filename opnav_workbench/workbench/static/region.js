@@ -11,6 +11,10 @@ const ROOM_KEY = "opnav-workbench-room"; // what this browser remembers of the r
 const LAB = "[data-opnav-lab]"; // the notebook that `opnav lab` has opened, among others that may stand beside it
 const DRAG_PX = 4; // less is a click with a trembling hand
 
+// Another tab's page has nothing of the one before: it takes its place as it is.
+const isSamePart = (old, wanted) =>
+  old.tagName === wanted.tagName && old.id === wanted.id && (!wanted.classList.contains("page") || old.className === wanted.className);
+
 // Bring `node` to the state of `wanted`, touching only what differs, so that focus, scroll and selection survive.
 function morph(node, wanted) {
   for (const { name } of [...node.attributes]) if (!wanted.hasAttribute(name)) node.removeAttribute(name);
@@ -24,8 +28,7 @@ function morph(node, wanted) {
     const old = node.childNodes[i];
     if (!old) node.append(child);
     else if (old.isEqualNode(child)) return;
-    else if (old.nodeType === 1 && child.nodeType === 1 && old.tagName === child.tagName && old.id === child.id)
-      morph(old, child);
+    else if (old.nodeType === 1 && child.nodeType === 1 && isSamePart(old, child)) morph(old, child);
     else node.replaceChild(child, old);
   });
   while (node.childNodes.length > fresh.length) node.lastChild.remove();

@@ -1,5 +1,7 @@
 """Outliers and centering errors that the covariances do not know of."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from opnav_workbench.geometry import vector_from_rotation
 from opnav_workbench.stars.pointing import solve_pointing
+from opnav_workbench.stars.pointing.residuals import MAX_PAIRS, SEED, _pairs
 
 
 def displaced(field, rng, count, least_px=4.0, most_px=60.0):
@@ -182,3 +185,12 @@ def test_same_input_same_output_to_the_bit(cameras, star_field):
     first, second = (solve_pointing(observed, *field.arguments[1:]) for _ in range(2))
     assert first.camera_from_j2000.tobytes() == second.camera_from_j2000.tobytes()
     assert first.covariance_rad2.tobytes() == second.covariance_rad2.tobytes()
+
+
+@pytest.mark.parametrize("n", [2, 3, 24, 25, 26, 120])
+def test_pairs_are_those_of_a_list_of_all_shuffled(n):
+    """They are drawn by number, since of two thousand stars a list of two million pairs costs more than the solution."""
+    listed = np.array(list(combinations(range(n), 2)))
+    if len(listed) > MAX_PAIRS:
+        listed = np.random.default_rng(SEED).permutation(listed)[:MAX_PAIRS]
+    np.testing.assert_array_equal(_pairs(n), listed)
