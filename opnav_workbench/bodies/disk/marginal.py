@@ -119,6 +119,21 @@ class _MarginalEquations(NamedTuple):
         """Number of what is shared and of hemispheres, p + r."""
         return len(self.right)
 
+    def without_hemispheres(self, p: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return the normal equations of the p that are shared, and chi-squared without them, marginal over hemispheres."""
+        normal, right = self.normal, self.right
+        gain = np.linalg.solve(normal[p:, p:], np.column_stack([normal[p:, :p], right[p:]]))
+        less = normal[:p, p:] @ gain
+        return (
+            normal[:p, :p] - less[:, :p],
+            right[:p] - less[:, p],
+            self.whole - float(right[p:] @ gain[:, p]),
+        )
+
+    def broad_width(self, p: int) -> float:
+        """Return what the hemispheres add to a cost where they are not among the unknowns of its evidence."""
+        return float(np.linalg.slogdet(self.normal[p:, p:])[1])
+
     def width(self, cells: WeighedCells, hemispheres: int) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
         field = self.factor.log_determinant - self.ring.log_determinant
@@ -340,11 +355,7 @@ class LimbSystem:
         mixed, p = found.mixed, len(self.shared)
         chi2 = found.whole - mixed.gained
         held_chi2, held_cost = (
-            (chi2, chi2)
-            if held is None
-            else _held_cost(
-                found.normal, found.right, found.whole, self._every_scale(found.unknowns - p), held
-            )
+            (chi2, chi2) if held is None else _held_cost(*found.without_hemispheres(p), self.scales, held)
         )
         solved = found.factor.solved(found.halves)
         nodes = (solved[..., -1] - solved[..., :-1] @ mixed.theta).reshape(len(self.data), -1)
@@ -356,7 +367,7 @@ class LimbSystem:
             nodes,
             chi2,
             held_chi2,
-            held_cost + self._width(found, cells),
+            held_cost + self._width(found, cells) + found.broad_width(p),
             mixed.share,
         )
 
