@@ -14,8 +14,14 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     The pixels about a limb, and their means over cells.
 ``hidden_albedo``
     What albedo between the nodes of a field does to a limb.
+``limb_field``
+    What pieces of a limb have of their own: an albedo that is a random field, and heights.
+``ring``
+    Fields on a ring of blocks, and their linear algebra.
 ``marginal``
-    The likelihood, marginal over an albedo that is a random field and over a rough limb.
+    The likelihood, marginal over the field.
+``tuning``
+    The field's prior, as the data speak for it.
 ``fit``
     Outline, law, field and the rest, fitted.
 """
