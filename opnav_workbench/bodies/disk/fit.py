@@ -609,9 +609,8 @@ class _Fitter:
             light = self.made.light
             if not light.fine or self._stale(LAST):
                 if not self._tabulate(fine=True) and light.fine:
-                    self._wander_back(
-                        tabled
-                    )  # light that tables are extrapolated to led away from every one of them
+                    # Light that tables are extrapolated to led away from every one of them.
+                    self._wander_back(tabled)
                     self._solve()
                     break  # no other light explains more
                 tabled = self._state()

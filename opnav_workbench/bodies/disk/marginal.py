@@ -82,14 +82,13 @@ class Ascent(NamedTuple):
 
 
 class WeighedCells(NamedTuple):
-    """Cells weighed by noise and `grain`, W = 1 / D.
+    """Cells weighed by noise and grain, W = 1 / D.
 
     `columns` are [X, N V, y] (p + r + 1, j, c), `own` N^T W N (j, q, q), `cross` N^T W [X, N V, y] as blocks of the ring,
     `plain` [X, N V, y]^T W [X, N V, y]. `log_weights` is the sum of the logarithms of the weights, relative to those that
     the noise of the data alone would give.
     """
 
-    grain: float
     weight: FloatArray
     columns: FloatArray
     own: FloatArray
@@ -102,9 +101,10 @@ class WeighedCells(NamedTuple):
 class _MarginalEquations(NamedTuple):
     """K^-1; M, and what it leaves of [X, N V, y]; normal equations with the prior; their solution over all scales.
 
-    `amplitude` is the standard deviation h of the hemispheres, DN.
+    `shared` is p, how many of the unknowns are no hemispheres; `amplitude` the standard deviation h of these, DN.
     """
 
+    shared: int
     ring: RingPrior
     factor: RingFactor
     halves: list[FloatArray]
@@ -114,14 +114,9 @@ class _MarginalEquations(NamedTuple):
     whole: float
     mixed: MixedSolution
 
-    @property
-    def unknowns(self) -> int:
-        """Number of what is shared and of hemispheres, p + r."""
-        return len(self.right)
-
-    def without_hemispheres(self, p: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the normal equations of the p that are shared, and chi-squared without them, marginal over hemispheres."""
-        normal, right = self.normal, self.right
+    def without_hemispheres(self) -> tuple[FloatArray, FloatArray, float]:
+        """Return the normal equations of what is shared, and chi-squared without it, marginal over hemispheres."""
+        p, normal, right = self.shared, self.normal, self.right
         gain = np.linalg.solve(normal[p:, p:], np.column_stack([normal[p:, :p], right[p:]]))
         less = normal[:p, p:] @ gain
         return (
@@ -130,14 +125,20 @@ class _MarginalEquations(NamedTuple):
             self.whole - float(right[p:] @ gain[:, p]),
         )
 
-    def broad_width(self, p: int) -> float:
+    def broad_width(self) -> float:
         """Return what the hemispheres add to a cost where they are not among the unknowns of its evidence."""
-        return float(np.linalg.slogdet(self.normal[p:, p:])[1])
+        return float(np.linalg.slogdet(self.normal[self.shared :, self.shared :])[1])
 
-    def width(self, cells: WeighedCells, hemispheres: int) -> float:
+    def width(self, cells: WeighedCells) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
-        field = self.factor.log_determinant - self.ring.log_determinant
+        field, hemispheres = (
+            self.factor.log_determinant - self.ring.log_determinant,
+            len(self.right) - self.shared,
+        )
         return field + 2.0 * hemispheres * float(np.log(self.amplitude)) - cells.log_weights - cells.n_cells
+
+    def log_likelihood(self, cells: WeighedCells) -> float:
+        return self.mixed.log_evidence - 0.5 * (self.whole + self.width(cells))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +215,7 @@ class LimbSystem:
         used = weight > 0.0
         log_weights = float(np.log(weight[used] * self.seen_variance[used]).sum())
         cells = int(np.count_nonzero(used))
-        return WeighedCells(grain, weight, stacked, inner, cross, plain, cells, log_weights)
+        return WeighedCells(weight, stacked, inner, cross, plain, cells, log_weights)
 
     def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
         """Return the normal equations of what is shared and of the hemispheres, marginal over the ring."""
@@ -232,11 +233,8 @@ class LimbSystem:
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
         least = np.maximum(precision, RIDGE * np.diag(cells.plain)[:-1])
         whole = float(information[-1, -1] + precision[:p] @ self.prior_mean**2)
-        mixed = mixed_solution(normal, right, self._every_scale(r), least)
-        return _MarginalEquations(ring, factor, halves, amplitude, normal, right, whole, mixed)
-
-    def _every_scale(self, hemispheres: int) -> FloatArray:
-        return np.pad(self.scales, ((0, 0), (0, hemispheres)))
+        mixed = mixed_solution(normal, right, np.pad(self.scales, ((0, 0), (0, r))), least)
+        return _MarginalEquations(p, ring, factor, halves, amplitude, normal, right, whole, mixed)
 
     def noise_covariance(self, prior: FieldPrior) -> FloatArray:
         """Return what the noise of the cells alone scatters theta (p, p) by, under a prior.
@@ -259,13 +257,7 @@ class LimbSystem:
 
     def log_likelihood(self, prior: FieldPrior, cells: WeighedCells) -> float:
         """Return that of a prior, marginal over everything; `cells` are weighed by its grain."""
-        return self._log_likelihood(self._marginal(prior, cells), cells)
-
-    def _log_likelihood(self, found: _MarginalEquations, cells: WeighedCells) -> float:
-        return found.mixed.log_evidence - 0.5 * (found.whole + self._width(found, cells))
-
-    def _width(self, found: _MarginalEquations, cells: WeighedCells) -> float:
-        return found.width(cells, found.unknowns - len(self.shared))
+        return self._marginal(prior, cells).log_likelihood(cells)
 
     def ascent(self, prior: FieldPrior, cells: WeighedCells) -> Ascent:
         """Return the likelihood of a prior with its slopes; `cells` are weighed by its grain.
@@ -294,7 +286,7 @@ class LimbSystem:
         gradient[HEMISPHERES] = variance / found.amplitude**2 - len(theta[broad])
         changes[HEMISPHERES] = 2.0 * np.tensordot(theta[broad], cells.columns[:-1][broad], axes=1)
         information = self._information(found, cells, changes)
-        return Ascent(self._log_likelihood(found, cells), gradient, information)
+        return Ascent(found.log_likelihood(cells), gradient, information)
 
     def _by_ring(
         self,
@@ -340,7 +332,7 @@ class LimbSystem:
         weighted = changes * cells.weight
         cross = np.matmul(self.own.transpose(1, 0, 2), weighted.transpose(1, 2, 0)).reshape(n, s, k)
         halves = found.factor.halves(cross)
-        flat, columns = weighted.reshape(k, -1), cells.columns[:-1].reshape(found.unknowns, -1)
+        flat, columns = weighted.reshape(k, -1), cells.columns[:-1].reshape(len(found.right), -1)
         inner = flat @ changes.reshape(k, -1).T - products(halves, halves)
         beside = columns @ flat.T - products(found.halves, halves)[:-1]
         return np.asarray(0.5 * (inner - beside.T @ found.mixed.covariance @ beside))
@@ -355,19 +347,19 @@ class LimbSystem:
         mixed, p = found.mixed, len(self.shared)
         chi2 = found.whole - mixed.gained
         held_chi2, held_cost = (
-            (chi2, chi2) if held is None else _held_cost(*found.without_hemispheres(p), self.scales, held)
+            (chi2, chi2) if held is None else _held_cost(*found.without_hemispheres(), self.scales, held)
         )
         solved = found.factor.solved(found.halves)
         nodes = (solved[..., -1] - solved[..., :-1] @ mixed.theta).reshape(len(self.data), -1)
         nodes[:, :-1] += self.field.modes @ mixed.theta[p:]
         return MarginalSolution(
-            self._log_likelihood(found, cells),
+            found.log_likelihood(cells),
             mixed.theta[:p],
             mixed.covariance[:p, :p],
             nodes,
             chi2,
             held_chi2,
-            held_cost + self._width(found, cells) + found.broad_width(p),
+            held_cost + found.width(cells) + found.broad_width(),
             mixed.share,
         )
 
