@@ -87,7 +87,7 @@ LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
 LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of it, or it is not in sight
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
-SHADING_SCALES = (4.0, 1.0, 0.2)  # surfaces lean by more, or by less, than their axes say
+SHADING_SCALES = (1.0, 0.2)  # surfaces lean by what their axes say, or by less: the rest is albedo
 # A step: as far as their derivatives reach. Light is linear in the share of a law, so that is taken whole.
 MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
 LEAST_BRIGHT = 0.5  # of light without what a law adds to it
@@ -521,6 +521,10 @@ def fit_disk(
     return _Fitter(problem, shape, start).run()
 
 
+def _is_uneven(prior: FieldPrior) -> bool:
+    return max(prior.albedo, prior.grain) > EVEN
+
+
 def _degrees(system: LimbSystem) -> int:
     return max(int(np.count_nonzero(np.isfinite(system.variance))) - SHARED, 1)
 
@@ -706,8 +710,7 @@ class _Fitter:
         before = self.linear.solution.log_likelihood
         self._doubt()
         best, system = self._tuned(), self.linear.system
-        uneven = max(best.prior.albedo, best.prior.grain) > EVEN  # else there is nothing to explain
-        if other_light and uneven:
+        if other_light and _is_uneven(best.prior):  # else there is nothing to explain
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
             self._solve()
             other = self._tuned()
@@ -896,7 +899,9 @@ class _Fitter:
         part = most * min(1.0, *bounds)
         # A limb that lies elsewhere tells nothing of the light yet.
         near = part * (min(bounds) >= 1.0)
-        parts = np.array([part, part, near, near, near])
+        # What shading would explain, the albedo of a patchy surface does as well: tables that follow it are led away by that.
+        leaning = 0.0 if _is_uneven(self.prior) else near
+        parts = np.array([part, part, leaning, leaning, leaning])
         law = np.clip(self._meant_law(linear), *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,

@@ -7,7 +7,6 @@ Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.pla
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels
@@ -345,9 +344,9 @@ def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
 # ---- What a background or a converter may have done to the picture of a large or bright body.
 
 SUNK_SIGMAS = 3.0  # a sky this far below zero was none: the body itself was taken for background
-FLAT_SHARE = 0.6  # of a pixel's noise: nine pixels of one surface that differ by less are clipped
-TOP_SHARE = 0.5
-FEWEST_CLIPPED = 20
+# Of the noise at the top: where light goes on beyond, noise leaves fewer and fewer pixels in steps as wide as this; an even
+# surface without noise leaves as many in each.
+CROWD_SIGMAS, CROWDED, FEWEST_CLIPPED = 0.3, 3.0, 20
 
 
 def with_true_sky(picture: BodyPicture) -> BodyPicture:
@@ -365,24 +364,10 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
 
 
 def _clipped(signal: FloatArray, noise: FloatArray, gain: float, usable: BoolArray) -> BoolArray:
-    """Return the pixels (n_line, n_pixel) of a plateau at the top of the picture that has no noise."""
-    out = np.zeros(signal.shape, dtype=bool)
-    known = np.where(usable, signal, 0.0)
-    top = float(known.max())
-    bright = known > TOP_SHARE * top
-    if not top > 0.0 or np.count_nonzero(bright) < FEWEST_CLIPPED:
-        return out
-    part = tuple(
-        slice(max(int(lines[0]) - 1, 0), int(lines[-1]) + 2)
-        for lines in (np.flatnonzero(bright.any(axis=axis)) for axis in (1, 0))
-    )
-    known, bright = known[part], bright[part]
-    extent = maximum_filter(known, 3) - minimum_filter(known, 3)
-    sigma = np.sqrt(noise[part] ** 2 + np.maximum(known, 0.0) / gain)
-    flat = bright & (extent < FLAT_SHARE * sigma)
-    if np.count_nonzero(flat) < FEWEST_CLIPPED:
-        return out
-    low, high = np.quantile(known[flat], [0.05, 0.95])
-    if high - low <= float(np.median(sigma[flat])):  # else an even surface, not a plateau
-        out[part] = usable[part] & (known >= low)
-    return out
+    """Return the pixels (n_line, n_pixel) that crowd at the top of the picture, closer than noise would have them."""
+    top = float(signal[usable].max(initial=0.0))
+    sigma = float(np.sqrt(np.median(noise) ** 2 + top / gain))
+    below = np.where(usable, (top - signal) / (CROWD_SIGMAS * sigma), np.inf)
+    clipped = below < 1.0
+    crowd, next_to_it = (np.count_nonzero(here) for here in (clipped, (below >= 1.0) & (below < 2.0)))
+    return clipped & (crowd > max(FEWEST_CLIPPED, CROWDED * next_to_it))
