@@ -192,6 +192,11 @@ class BodyPicture:
         gain = self.camera.gain_e_per_dn
         return 1.0 if gain is None or not np.isfinite(gain) else float(gain)
 
+    @property
+    def shot_gain_e_per_dn(self) -> float:
+        """That of the light's own noise: infinite where no noise model says how light scatters."""
+        return np.inf if self.noise_model is None else self.noise_model.gain_e_per_dn
+
     def prediction(self, name: str) -> BodyPrediction:
         """Return where and how large a body is expected."""
         return predict_body(

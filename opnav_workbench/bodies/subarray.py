@@ -149,8 +149,14 @@ def cut_out(
     saturated = picture.saturated[part]
     sound = np.isfinite(data) & np.isfinite(noise) & (noise > 0.0)
     use = sound & ((~picture.bad[part] | saturated) if keep_saturated else ~(picture.bad[part] | saturated))
-    gain = np.inf if picture.noise_model is None else picture.noise_model.gain_e_per_dn
-    return Cutout(window, np.where(use, data, 0.0), np.where(sound, noise, 1.0), use, saturated, gain)
+    return Cutout(
+        window,
+        np.where(use, data, 0.0),
+        np.where(sound, noise, 1.0),
+        use,
+        saturated,
+        picture.shot_gain_e_per_dn,
+    )
 
 
 # ---- Pixels whose light is not that of the bodies: cosmic rays and stars, told from what surrounds them.

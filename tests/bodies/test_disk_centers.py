@@ -82,8 +82,8 @@ def test_centers_of_a_few_pixels_know_what_they_do_not_see(sample):
     found = run(sample.trials(9), 23, "auto", "tiny")
     near = [r for r in found if r["diameter_px"] >= 3.0 or r["displacement_px"] < 10.0]
     assert np.mean([is_ok(r) for r in near if r["phase_deg"] < 110.0]) > 0.8
-    # 2.2, and 1.85 of 60: one disk of 2 px with a bright half is 0.15 px and 8 sigma off.
-    assert 0.4 < error_over_sigma([r for r in near if is_ok(r)]) < 2.4
+    # 2.5, and 1.6 of 120: one disk of 2 px with a bright half is 0.15 px and 9 sigma off.
+    assert 0.4 < error_over_sigma([r for r in near if is_ok(r)]) < 2.7
 
 
 def test_a_body_in_front_is_left_out_without_a_calibration_too(body_stage):
@@ -206,3 +206,25 @@ def test_fits_that_lie_apart_are_compared_over_the_same_pixels():
     for wrong in (away, smaller):
         assert likelier(disk.pixels, disk.fit, wrong) is disk.fit
         assert likelier(disk.pixels, wrong, disk.fit) is disk.fit
+
+
+@pytest.mark.slow
+def test_a_patchy_surface_is_not_taken_for_one_that_leans():
+    """At 6 deg of phase the light of a strained sphere resembles a map's: tables that followed it were 0.6 px and 7 sigma off."""
+    trial = make_trial(draw(4008, 13))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    away = disk.fit.center_px - trial.truth_px
+    assert disk.fit.prior.albedo > 0.05
+    assert not disk.fit.made.strain[2:].any()
+    assert away @ np.linalg.solve(disk.fit.covariance_px2, away) < 3.0**2
+    assert np.hypot(*away) < 0.2
+
+
+@pytest.mark.slow
+def test_an_even_body_of_another_figure_has_its_own_shading():
+    trial = make_trial(TrialSetup(31, 160.0, 60.0, figure_error=0.08, figure_pattern=(0.3, 1.0, -1.0)))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    away = disk.fit.center_px - trial.truth_px
+    assert np.abs(disk.fit.made.strain[2:]).max() > 0.01
+    assert away @ np.linalg.solve(disk.fit.covariance_px2, away) < 3.5**2
+    assert np.hypot(*away) < 0.1

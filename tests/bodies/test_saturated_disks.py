@@ -8,6 +8,7 @@ from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, judged_disk, measure_disk
 from opnav_workbench.bodies.disk.fit import fit_disk
+from opnav_workbench.bodies.disk.measurement import with_true_sky
 
 OVEREXPOSED = {  # of the peak the detector holds a tenth or so
     "half lit, 740 px": TrialSetup(11, 740.0, 98.0, saturation_dn=110.0),
@@ -73,3 +74,31 @@ def test_a_center_far_beside_the_frame_goes_its_way_at_once():
     assert fit.lengths_px[0] > 4.0
     away = fit.center_px - trial.truth_px
     assert away @ np.linalg.solve(fit.covariance_px2, away) < 3.5**2
+
+
+def test_light_that_a_converter_cut_off_is_told_by_how_its_pixels_crowd():
+    """Nobody named them saturated, and each has a noise of its own: values of a display, or calibrated after they were cut."""
+    trial = make_trial(TrialSetup(21, 120.0, 40.0, peak_dn=300.0))
+    rng = np.random.default_rng(4)
+    whole = trial.picture
+    cut = replace(
+        whole, signal_dn=np.minimum(whole.signal_dn, 255.0) + rng.uniform(-0.5, 0.5, whole.signal_dn.shape)
+    )
+    over = whole.signal_dn > 256.0
+    assert over.sum() > 300
+    assert with_true_sky(cut).saturated[over].all()
+    assert not with_true_sky(cut).saturated[whole.signal_dn < 250.0].any()
+    assert not with_true_sky(whole).saturated.any()  # light that goes on to its own end
+
+
+def test_where_no_noise_model_says_how_light_scatters_its_noise_is_not_made_up():
+    """Reflectances are small numbers: with one electron each they would be all noise, and all of one level."""
+    trial = make_trial(TrialSetup(21, 120.0, 40.0, peak_dn=300.0))
+    scale = 1e-4
+    picture = trial.picture
+    reflectance = replace(
+        picture, signal_dn=scale * picture.signal_dn, noise_dn=scale * picture.noise_dn, noise_model=None
+    )
+    assert reflectance.shot_gain_e_per_dn == np.inf
+    assert picture.shot_gain_e_per_dn == picture.noise_model.gain_e_per_dn
+    assert not with_true_sky(reflectance).saturated.any()

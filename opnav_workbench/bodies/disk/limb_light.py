@@ -465,9 +465,12 @@ def _spread_along_rays(
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
     variance = psf_variance(picture.psf, blur_px2)
-    wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2)
-    rows = fft.irfft(fft.rfft(rows.reshape(len(rows), t, len(node)), axis=1) * wave[:, None], t, axis=1)
-    sources = np.matmul(rows.astype(np.float32), cell_means(fine, step, node))
+    wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2).astype(np.float32)
+    single = rows.reshape(len(rows), t, len(node)).astype(
+        np.float32
+    )  # 1e-7 of light that models hold to 1e-3
+    around = fft.irfft(fft.rfft(single, axis=1) * wave[:, None], t, axis=1)
+    sources = np.matmul(around, cell_means(fine, step, node))
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
     spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)

@@ -359,7 +359,7 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
     dark, spread = darkest_sky(signal, ~usable, middle)
     if dark < -SUNK_SIGMAS * middle:
         signal, noise = signal - dark, np.full_like(noise, spread)
-    clipped = _clipped(signal, noise, picture.gain_e_per_dn, usable & ~picture.saturated)
+    clipped = _clipped(signal, noise, picture.shot_gain_e_per_dn, usable & ~picture.saturated)
     return replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
 
 

@@ -244,7 +244,7 @@ class _EdgeEquations:
         self.good = ~(self.saturated | self.bad)
         self.data = np.where(self.good, signal, 0.0)
         self.background_variance = picture.noise_dn[where] ** 2
-        self.gain = np.inf if picture.noise_model is None else picture.gain_e_per_dn
+        self.gain = picture.shot_gain_e_per_dn
         self.spline = spline_filter(model_dn, order=3, mode="nearest")
         # The derivatives of the spline at its nodes.
         self.slopes = [
