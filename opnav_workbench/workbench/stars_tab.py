@@ -502,7 +502,9 @@ class StarsTab(Tab):
         """Accept the star under decision and go on."""
         star = self._star_or_raise()
         self.runner.decide(
-            lambda: self.runner.session.accept_stars([star]), lambda: self._gone_on(star, "accepted")
+            lambda: self.runner.session.accept_stars([star]),
+            lambda: self._gone_on(star, "accepted"),
+            quick=True,
         )
 
     def reject(self, reason: str) -> None:
@@ -512,6 +514,7 @@ class StarsTab(Tab):
         self.runner.decide(
             lambda: self.runner.session.reject_stars([star], reason),
             lambda: self._gone_on(star, f"rejected ({reason})"),
+            quick=True,
         )
 
     def _star_or_raise(self) -> str:
@@ -560,7 +563,7 @@ class StarsTab(Tab):
         rest = [star for star in self.runner.undecided() if status.get(star) == "used"]
         if not rest:
             raise SessionError("no undecided star is in use.")
-        self.runner.decide(lambda: session.accept_stars(rest), f"{len(rest)} stars accepted.")
+        self.runner.decide(lambda: session.accept_stars(rest), f"{len(rest)} stars accepted.", quick=True)
 
     def _toggle_examine(self) -> None:
         self.runner.examine_each = not self.runner.examine_each
