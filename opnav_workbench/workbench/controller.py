@@ -31,7 +31,7 @@ from opnav_workbench.workbench.actions import (
 from opnav_workbench.workbench.bodies_tab import BodiesTab
 from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, QueueItem
 from opnav_workbench.workbench.landmarks_tab import LandmarksTab
-from opnav_workbench.workbench.markup import render
+from opnav_workbench.workbench.markup import prepare_templates, render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.overlays import look_alike
 from opnav_workbench.workbench.pointing_tab import PointingTab
@@ -74,6 +74,7 @@ class WorkbenchController:
         self.queue, self.viewer = queue, viewer
         self.ahead = ahead
         self._works_ahead = False  # one thread does
+        self._templates_ready = False
         self._prepared: WeakSet[ImageSession] = WeakSet()  # what showing them costs is done
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
         self.runner = StepRunner(queue, viewer, status or Status())
@@ -297,7 +298,7 @@ class WorkbenchController:
             near = self._neighbors()
             self.viewer.send_ahead(near)
             done = self.queue.next_to_open() is None and all(one in self._prepared for one in near)
-            if self.ahead and not self._works_ahead and not done:
+            if self.ahead and not self._works_ahead and not (done and self._templates_ready):
                 self._works_ahead = True
                 threading.Thread(target=self._work_ahead, daemon=True).start()
 
@@ -310,6 +311,8 @@ class WorkbenchController:
                 for session in near:
                     with suppress(Exception):  # told when its turn comes
                         self._prepare(session)
+            prepare_templates()
+            self._templates_ready = True
 
     def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
         """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""

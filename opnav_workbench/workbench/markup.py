@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from opnav_workbench.templating import environment, png_url
 
-__all__ = ["PagePicture", "in_parts", "page_files", "render", "with_still_picture"]
+__all__ = ["PagePicture", "in_parts", "page_files", "prepare_templates", "render", "with_still_picture"]
 
 TEMPLATES, STATIC = Path(__file__).parent / "templates", Path(__file__).parent / "static"
 _LINE_BREAKS = re.compile(r">\s*\n\s*<")
@@ -38,6 +38,13 @@ def render(template: str, **content: object) -> Markup:
     """
     page = environment(TEMPLATES).get_template(template).render(**content)
     return Markup(_LINE_BREAKS.sub("><", page).strip())  # noqa: S704 - the environment has escaped it
+
+
+def prepare_templates() -> None:
+    """Make all templates ready: the first key that asks for one does not wait until it is read and compiled."""
+    templates = environment(TEMPLATES)
+    for name in templates.list_templates():
+        templates.get_template(name)
 
 
 def in_parts(html: str) -> tuple[list[str], list[str]]:

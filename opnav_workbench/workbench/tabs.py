@@ -159,7 +159,9 @@ giving_way = GivingWay()  # one for all, as the interpreter has one interval
 # ---- The runner: the session at hand, the picture, the status line and the tool in use; and how steps are run.
 
 AT_ONCE_S = 0.15  # a step that takes less is simply done; a longer one shows progress and can be cancelled
-AFTER_PAINT_S = 0.05  # until what follows by itself begins: the page draws first, which wants the processor, too
+AFTER_PAINT_S = (
+    0.05  # until what follows by itself begins: the page draws first, which wants the processor, too
+)
 TICK_S = 1.0
 # Reasons of steps that follow another by themselves: a repointing after a decision on stars, observables after a center.
 # Undo takes both back, redo takes both again.

@@ -29,17 +29,26 @@ function bokehOfPage(version, parts, ask) {
 }
 
 // BokehJS writes the style of each of a figure's parts at each paint, and asks the browser for styles in between, which then
-// works all of them out anew: a fifth of a paint. What stands there already is not written again, and colors of texts and
-// lines are not looked for among a page's styles (`--bk-...`), where our figures have none.
+// works all of them out anew: a fifth of a paint. What stands there already is not written again; and of our own figures the
+// size of letters is asked for once, and no color is looked for among the page's styles (`--bk-...`), where they have none.
 function calm(bokeh) {
   const sheet = bokeh.require("core/dom").InlineStyleSheet?.prototype;
   if (!sheet?._update || sheet.opnavCalm) return;
+  const isOurs = (view) => view.model.document?.title() === TITLE;
   const look = bokeh.require("core/visuals/visual").VisualProperties?.prototype;
   const ask = look?._get_css_value;
   if (ask)
     look._get_css_value = function (name) {
-      return this.obj.model.document?.title() === TITLE ? "" : ask.call(this, name);
+      return isOurs(this.obj) ? "" : ask.call(this, name);
     };
+  const plot = bokeh.require("models/plots/plot_canvas").PlotView?.prototype;
+  const size = plot && Object.getOwnPropertyDescriptor(plot, "base_font_size")?.get;
+  if (size)
+    Object.defineProperty(plot, "base_font_size", {
+      get() {
+        return isOurs(this) ? (this.opnavFontPx ??= size.call(this)) : size.call(this);
+      },
+    });
   const write = sheet._update;
   sheet.opnavCalm = true;
   sheet._update = function (css) {
