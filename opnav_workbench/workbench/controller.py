@@ -23,6 +23,7 @@ from opnav_workbench.workbench.actions import (
     NUDGE,
     PLACES,
     REASON_MENU,
+    REJECT_REASONS,
     TABS,
     WORKBENCH_ACTIONS,
     Action,
@@ -45,6 +46,8 @@ __all__ = ["REGIONS", "WorkbenchController"]
 TOOL_LAYERS = ("two stars", "limb points", "limb scans", "landmarks")  # that the tabs draw
 GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
+# Decisions on stars, which the solution that follows them gives way to.
+VERDICTS = frozenset({"accept", "accept_rest", *(f"reason_{n}" for n, _ in enumerate(REJECT_REASONS, 1))})
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
 
@@ -134,6 +137,8 @@ class WorkbenchController:
             return False
         if runner.running.leavable and act in GOING:
             return False
+        if runner.running.gives_way and act in VERDICTS:
+            return bool(runner.line)
         return bool(runner.line) or act not in (*LOOKING, *LISTING)
 
     def do(self, name: str, event: PageEvent | None = None) -> None:

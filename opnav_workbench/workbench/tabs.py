@@ -167,6 +167,7 @@ TICK_S = 1.0
 # Undo takes both back, redo takes both again.
 FOLLOWS_DECISION, FOLLOWS_CENTER = "follows the stars", "follows the center"
 FOLLOWING = (FOLLOWS_DECISION, FOLLOWS_CENTER)
+DECISIONS_ON_STARS = ("accept_stars", "reject_stars", "place_star", "refit_stars")
 
 
 class StepCancelledError(SessionError):
@@ -186,6 +187,7 @@ class RunningStep:
     due: bool = False  # it is to begin after the paint
     background: bool = False  # nobody waits for it any more: its own thread reports
     leavable: bool = False
+    gives_way: bool = False  # a decision takes its place, and begins it anew
     then: Callable[[BaseException | None], None] | None = None  # says what became of it
     follow: "RunningStep | None" = None  # begins by itself once this one went well and is painted
     work: Callable[[], object] = lambda: None
@@ -266,7 +268,9 @@ class StepRunner:
         follow
             Begins once this step went well and its outcome is painted.
         """
-        if self.running is not None:
+        if self.running is not None and quick and self.running.gives_way:
+            self.running.cancelled = True  # of a state that is none any more: nothing of it is recorded
+        elif self.running is not None:
             self.status.say(f"still {self.running.label}; Esc cancels it.", "busy")
             return
         step = self.running = RunningStep(label, done, then=then, leavable=leavable, follow=follow, work=work)
@@ -310,7 +314,7 @@ class StepRunner:
             self._thread.step = None
         with step.concluding:
             step.finished.set()
-        if step.background:
+        if step.background and not step.cancelled:
             with self.lock, self.painting():
                 self._conclude(step)
                 self._serve_line()
@@ -421,7 +425,10 @@ class StepRunner:
         taken = self.session.undo()
         while taken.reason in FOLLOWING:
             taken = self.session.undo()
-        self.status.say(f"undone: {entry_words(taken)}", "done")
+        standing, solved = self.session.standing, self.session.state.pointing is not None
+        left = solved and standing and standing[-1].step in DECISIONS_ON_STARS
+        hint = "; the pointing is of before the last decision: P solves it again" if left else ""
+        self.status.say(f"undone: {entry_words(taken)}{hint}", "done")
         return taken
 
     def redo(self) -> None:
@@ -471,7 +478,8 @@ class StepRunner:
             follow = RunningStep(
                 "solving the pointing",
                 followed,
-                work=lambda: session.repoint(self.model, reason=FOLLOWS_DECISION),
+                gives_way=True,
+                work=lambda: session.repoint(self.model, reason=FOLLOWS_DECISION, gives_way=True),
             )
         self.run("deciding", decision, say, quick=quick, follow=follow)
 
