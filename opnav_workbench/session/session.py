@@ -576,7 +576,9 @@ class ImageSession:
                 self._fetch_wide_stars()
             self._step("nudge", parameters)
 
-    def repoint(self, model: str = "euler", *, a_priori: bool = False, reason: str = "") -> None:
+    def repoint(
+        self, model: str = "euler", *, a_priori: bool = False, reason: str = "", gives_way: bool = False
+    ) -> None:
         """Solve the camera attitude from the stars in use (`pointing.repoint`); observables computed before follow.
 
         Parameters
@@ -587,8 +589,11 @@ class ImageSession:
             found far from it, it does not count.
         reason
             For the journal.
+        gives_way
+            Others may take steps while it is solved; where one was taken, this one is not recorded.
         """
-        self._step("repoint", {"model": model} | ({"a_priori": True} if a_priori else {}), reason)
+        step = self._step_unless_overtaken if gives_way else self._step
+        step("repoint", {"model": model} | ({"a_priori": True} if a_priori else {}), reason)
 
     # -- steps: bodies and observables ---------------------------------------------------------------------------
 
@@ -992,6 +997,14 @@ class ImageSession:
             began = time.perf_counter()
             state = self._history.state_after_step(name, parameters)
             self._record(name, parameters, state, reason, cost_s=time.perf_counter() - began)
+
+    def _step_unless_overtaken(self, name: str, parameters: dict[str, Any], reason: str = "") -> None:
+        """Carry out a step that keeps nobody from his; it is dropped where the state that it began with is gone."""
+        before, began = self.state, time.perf_counter()
+        state = self._history.state_after_step(name, parameters)
+        with self.lock:
+            if self.state is before:
+                self._record(name, parameters, state, reason, cost_s=time.perf_counter() - began)
 
     def _record(
         self,

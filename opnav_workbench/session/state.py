@@ -345,8 +345,12 @@ def with_decisions(state: SessionState, statuses: Sequence[StarStatus]) -> tuple
     """Return `statuses` (one per predicted star) with the analyst's decisions carried out."""
     if state.a_priori is None:
         return tuple(statuses)
-    rows = zip(state.a_priori.id.tolist(), statuses, has_center(state), strict=True)
-    return tuple(_decided(state.decisions.get(star, ("", "")), status, bool(m)) for star, status, m in rows)
+    decisions = state.decisions  # on few of many stars
+    rows = zip(state.a_priori.id.tolist(), statuses, has_center(state).tolist(), strict=True)
+    return tuple(
+        _decided(decisions[star], status, measured) if star in decisions else status
+        for star, status, measured in rows
+    )
 
 
 def _decided(decision: tuple[str, str], status: StarStatus, measured: bool) -> StarStatus:

@@ -43,6 +43,8 @@ Deciding
 Writing the pages
 ``markup``
     Templates filled in, scripts and styles, and the message without a kernel.
+``recent``
+    What was made of the last few states, for an undo that comes back to one.
 ``plots``
     Small plots, and the residuals of the stars.
 ``status_line``

@@ -22,7 +22,7 @@ from opnav_workbench.workbench.actions import PICTURE, ROOM
 from opnav_workbench.workbench.controller import REGIONS, WorkbenchController
 from opnav_workbench.workbench.image_queue import ImageQueue
 from opnav_workbench.workbench.image_view import ImageView
-from opnav_workbench.workbench.markup import page_files, with_still_picture
+from opnav_workbench.workbench.markup import in_parts, page_files, with_still_picture
 from opnav_workbench.workbench.status_line import Status
 
 if TYPE_CHECKING:
@@ -66,9 +66,36 @@ class Region(anywidget.AnyWidget):
     def __init__(self, name: str, on_message: Callable[[Mapping[str, Any]], None]) -> None:
         super().__init__(name=name)
         self._on_message = on_message
+        self._parts: list[str] = []
+        self._around: list[str] = [""]
+        self._patches = False
         self.on_msg(self._message)
 
+    def show(self, html: str) -> None:
+        """Show HTML; where only marked parts of it differ from what is shown (`in_parts`), nothing but these is sent."""
+        before, around_before = self._parts, self._around
+        self._parts, self._around = in_parts(html)
+        whole = "".join(text for pair in zip(self._around, [*self._parts, ""], strict=True) for text in pair)
+        if whole == self.html:
+            return
+        self._patches = self._around == around_before
+        try:
+            self.html = whole  # what a page gets that opens later
+        finally:
+            patches, self._patches = self._patches, False
+        if patches:
+            pairs = enumerate(zip(before, self._parts, strict=True))
+            self.send({"parts": {str(number): new for number, (old, new) in pairs if new != old}})
+
+    def _should_send_property(self, key: str, value: object) -> bool:
+        if key == "html" and self._patches:
+            return False
+        return bool(super()._should_send_property(key, value))
+
     def _message(self, _: object, content: Mapping[str, Any], __: object) -> None:
+        if content.get("act") == "whole":  # of a page that lacks what was patched
+            self.send({"whole": self.html})
+            return
         self._on_message(content)
         # The page then knows that the kernel lives, and of a key that opens a field whether one has come.
         self.send(
@@ -141,7 +168,7 @@ class Workbench:
     def _paint(self, html: Mapping[str, str]) -> None:
         self.view.bridge.flush()  # what is told in words is seen by then
         for name, shown in html.items():
-            self.regions[name].html = shown  # sent only where it differs
+            self.regions[name].show(shown)  # sent only where it differs
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
         return self.box._repr_mimebundle_(**options)

@@ -23,6 +23,7 @@ from opnav_workbench.workbench.actions import (
     NUDGE,
     PLACES,
     REASON_MENU,
+    REJECT_REASONS,
     TABS,
     WORKBENCH_ACTIONS,
     Action,
@@ -31,7 +32,7 @@ from opnav_workbench.workbench.actions import (
 from opnav_workbench.workbench.bodies_tab import BodiesTab
 from opnav_workbench.workbench.image_queue import ORDERS, SHOWN, ImageQueue, QueueItem
 from opnav_workbench.workbench.landmarks_tab import LandmarksTab
-from opnav_workbench.workbench.markup import render
+from opnav_workbench.workbench.markup import prepare_templates, render
 from opnav_workbench.workbench.observables_tab import ObservablesTab
 from opnav_workbench.workbench.overlays import look_alike
 from opnav_workbench.workbench.pointing_tab import PointingTab
@@ -45,6 +46,8 @@ __all__ = ["REGIONS", "WorkbenchController"]
 TOOL_LAYERS = ("two stars", "limb points", "limb scans", "landmarks")  # that the tabs draw
 GOING = ("next_image", "previous_image", "go", "open_again")  # to another image
 LISTING = ("list_words", "list_shown", "list_order")  # choose what is listed
+# Decisions on stars, which the solution that follows them gives way to.
+VERDICTS = frozenset({"accept", "accept_rest", *(f"reason_{n}" for n, _ in enumerate(REJECT_REASONS, 1))})
 WITHOUT_IMAGE = frozenset({*GOING, *LISTING, *(f"tab_{name}" for name, _ in TABS), "keys", "escape"})
 REGIONS = ("header", "queue", "panel", "status")
 
@@ -74,6 +77,7 @@ class WorkbenchController:
         self.queue, self.viewer = queue, viewer
         self.ahead = ahead
         self._works_ahead = False  # one thread does
+        self._templates_ready = False
         self._prepared: WeakSet[ImageSession] = WeakSet()  # what showing them costs is done
         self.registry = ActionRegistry([*WORKBENCH_ACTIONS, *viewer.actions])
         self.runner = StepRunner(queue, viewer, status or Status())
@@ -133,6 +137,8 @@ class WorkbenchController:
             return False
         if runner.running.leavable and act in GOING:
             return False
+        if runner.running.gives_way and act in VERDICTS:
+            return bool(runner.line)
         return bool(runner.line) or act not in (*LOOKING, *LISTING)
 
     def do(self, name: str, event: PageEvent | None = None) -> None:
@@ -297,7 +303,7 @@ class WorkbenchController:
             near = self._neighbors()
             self.viewer.send_ahead(near)
             done = self.queue.next_to_open() is None and all(one in self._prepared for one in near)
-            if self.ahead and not self._works_ahead and not done:
+            if self.ahead and not self._works_ahead and not (done and self._templates_ready):
                 self._works_ahead = True
                 threading.Thread(target=self._work_ahead, daemon=True).start()
 
@@ -310,6 +316,8 @@ class WorkbenchController:
                 for session in near:
                     with suppress(Exception):  # told when its turn comes
                         self._prepare(session)
+            prepare_templates()
+            self._templates_ready = True
 
     def _is_ahead_of(self, prepared: list[ImageSession]) -> bool:
         """Whether nothing is left to be done ahead; then what is prepared goes to the pages."""

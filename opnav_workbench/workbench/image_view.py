@@ -31,6 +31,8 @@ from opnav_workbench.workbench.inspection import compass_arrows, measure_apertur
 from opnav_workbench.workbench.laying import laid_over
 from opnav_workbench.workbench.overlays import (
     LONGEST_VECTOR,
+    BodyMarks,
+    Columns,
     SkyGrid,
     body_marks,
     expected_attitude,
@@ -41,6 +43,7 @@ from opnav_workbench.workbench.overlays import (
     star_marks,
 )
 from opnav_workbench.workbench.readout import sky_readout
+from opnav_workbench.workbench.recent import Recent
 from opnav_workbench.workbench.sent_arrays import ArrayStore, SentPicture
 from opnav_workbench.workbench.status_line import Status
 from opnav_workbench.workbench.stretch import DEFAULT_LIMITS, limits_of, picture_png
@@ -223,6 +226,60 @@ EMPTY_SIZE = 512  # a view without a session shows a blank square
 STRIP_SHAPE, STRIP_MARGIN = 3.0, 1.15
 
 
+# ---- What lies over the picture of a session as it stands.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlays:
+    """Marks by the name of what shows them, residual vectors, and what the page evaluates by itself, as JSON."""
+
+    columns: dict[str, Columns]
+    vectors: Columns
+    camera: str
+    compass: str
+    bodies: str
+    body_names: tuple[str, ...]
+
+
+def overlays_of(session: ImageSession) -> Overlays:
+    """Return what lies over a session's picture."""
+    camera, attitude = expected_camera(session), expected_attitude(session)
+    without_sky = session.is_without_sky
+    readout = None if without_sky else sky_readout(camera, attitude).as_page_values()
+    grid = SkyGrid([], [], []) if without_sky else sky_grid(camera, attitude)
+    stars, bodies = star_marks(session), body_marks(session)
+    shape = session.context.picture.image_dn.shape
+    kinds = ("predicted", "missing", "used", "rejected")
+    places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
+    columns = {kind: {axis: getattr(stars, kind)[axis] for axis in ("pixel", "line")} for kind in kinds}
+    columns |= {
+        "star_labels": label_columns(places, stars.labels["text"], (9.0, -5.0), shape[::-1]),
+        "facts": star_facts(session),
+        "grid": lines_columns(grid.lines_px),
+        "grid_labels": label_columns(grid.places_px, grid.labels, (3.0, -3.0)),
+    }
+    return Overlays(
+        columns=columns | _body_columns(bodies, shape),
+        vectors=stars.vectors,
+        camera=json.dumps(readout),
+        compass=json.dumps(compass_arrows(session)),
+        bodies=json.dumps([mark.as_page_values() for mark in bodies]),
+        body_names=tuple(mark.name for mark in bodies),
+    )
+
+
+def _body_columns(marks: Sequence[BodyMarks], shape: tuple[int, ...]) -> dict[str, Columns]:
+    points = np.array([mark.center_px for mark in marks if not len(mark.predicted_limb_px)]).reshape(-1, 2)
+    return {
+        "body_predicted": lines_columns([mark.predicted_limb_px for mark in marks]),
+        "body": lines_columns([mark.limb_px for mark in marks]),
+        "terminator": lines_columns([mark.terminator_px for mark in marks]),
+        "pole": lines_columns([mark.pole_px for mark in marks]),
+        "body_point": {"pixel": points[:, 0], "line": points[:, 1]},
+        "body_labels": body_label_columns(marks, shape),
+    }
+
+
 class ImageView:
     """A picture that shows a session; see `viewer.Viewer` for what the workbench asks of it.
 
@@ -254,6 +311,7 @@ class ImageView:
         self._own_scale = 0.0  # of residual vectors, as long as the analyst takes no other
         self._prepared: WeakKeyDictionary[ImageSession, PreparedPicture] = WeakKeyDictionary()
         self._layers: dict[str, Layer] = {}
+        self._overlays: Recent[Overlays] = Recent()
         self.bridge = Bridge(
             *self.models.roots, self.state, picture=self.picture, status=status, parts=("bokeh",)
         )
@@ -379,23 +437,19 @@ class ImageView:
         if session is None:
             return
         with self.bridge.batch():
-            camera, attitude = expected_camera(session), expected_attitude(session)
-            readout = None if session.is_without_sky else sky_readout(camera, attitude).as_page_values()
-            self.state.camera = json.dumps(readout)
-            self.state.compass = json.dumps(compass_arrows(session))
-            stars = star_marks(session)
-            for kind in ("predicted", "missing", "used", "rejected"):
-                self.models.fill(kind, {axis: getattr(stars, kind)[axis] for axis in ("pixel", "line")})
-            places = np.stack([stars.labels["pixel"], stars.labels["line"]], axis=1)
-            size = session.context.picture.image_dn.shape[::-1]
-            self.models.fill("star_labels", label_columns(places, stars.labels["text"], (9.0, -5.0), size))
-            self.models.fill("facts", star_facts(session))
-            self._vectors = stars.vectors
+            known = session.inputs, session.state
+            drawn = self._overlays.of(known, lambda: overlays_of(session))
+            self.state.camera, self.state.compass, self.state.bodies = (
+                drawn.camera,
+                drawn.compass,
+                drawn.bodies,
+            )
+            for name, columns in drawn.columns.items():
+                self.models.fill(name, columns)
+            if self.state.body not in drawn.body_names:
+                self.state.body = next(iter(drawn.body_names), "")
+            self._vectors = drawn.vectors
             self._draw_vectors()
-            self._draw_bodies(session)
-            grid = SkyGrid([], [], []) if session.is_without_sky else sky_grid(camera, attitude)
-            self.models.fill("grid", lines_columns(grid.lines_px))
-            self.models.fill("grid_labels", label_columns(grid.places_px, grid.labels, (3.0, -3.0)))
             self.images.outdate()
 
     def _draw_vectors(self) -> None:
@@ -408,19 +462,6 @@ class ImageView:
             self._own_scale = _vector_scale(self._vectors, shape)
             self.state.vector_scale = self._own_scale
         self.models.fill("vectors", dict(self._vectors))
-
-    def _draw_bodies(self, session: ImageSession) -> None:
-        marks = body_marks(session)
-        self.models.fill("body_predicted", lines_columns([m.predicted_limb_px for m in marks]))
-        self.models.fill("body", lines_columns([m.limb_px for m in marks]))
-        self.models.fill("terminator", lines_columns([m.terminator_px for m in marks]))
-        self.models.fill("pole", lines_columns([m.pole_px for m in marks]))
-        points = np.array([m.center_px for m in marks if not len(m.predicted_limb_px)]).reshape(-1, 2)
-        self.models.fill("body_point", {"pixel": points[:, 0], "line": points[:, 1]})
-        self.models.fill("body_labels", body_label_columns(marks, session.context.picture.image_dn.shape))
-        self.state.bodies = json.dumps([m.as_page_values() for m in marks])
-        if self.state.body not in [m.name for m in marks]:
-            self.state.body = marks[0].name if marks else ""
 
     # -- pictures to blink between -----------------------------------------------------------------------------
 

@@ -15,10 +15,13 @@ from markupsafe import Markup
 
 from opnav_workbench.templating import environment, png_url
 
-__all__ = ["PagePicture", "page_files", "render", "with_still_picture"]
+__all__ = ["PagePicture", "in_parts", "page_files", "prepare_templates", "render", "with_still_picture"]
 
 TEMPLATES, STATIC = Path(__file__).parent / "templates", Path(__file__).parent / "static"
 _LINE_BREAKS = re.compile(r">\s*\n\s*<")
+# Around an element of a template that is sent alone where nothing but such elements has changed; they do not nest.
+PART, PART_END = "<!--part-->", "<!--/part-->"
+_TAG = re.compile(r"\s*<([\w-]+)")
 NO_KERNEL_MESSAGE = (
     "opnav_workbench: this view needs a running kernel. Open the notebook in JupyterLab and run its cells; "
     "every decision is kept in the session's folder."
@@ -35,6 +38,27 @@ def render(template: str, **content: object) -> Markup:
     """
     page = environment(TEMPLATES).get_template(template).render(**content)
     return Markup(_LINE_BREAKS.sub("><", page).strip())  # noqa: S704 - the environment has escaped it
+
+
+def prepare_templates() -> None:
+    """Make all templates ready: the first key that asks for one does not wait until it is read and compiled."""
+    templates = environment(TEMPLATES)
+    for name in templates.list_templates():
+        templates.get_template(name)
+
+
+def in_parts(html: str) -> tuple[list[str], list[str]]:
+    """Return the elements that are marked as parts, each with its number as ``data-part``; and what stands around them.
+
+    Examples
+    --------
+    >>> in_parts("<ol><!--part--><li>a</li><!--/part--><!--part--><li>b</li><!--/part--></ol>")
+    (['<li data-part="0">a</li>', '<li data-part="1">b</li>'], ['<ol>', '', '</ol>'])
+    """
+    first, *others = str(html).split(PART)  # plain text: `Markup` would escape what is put together of it
+    pairs = [one.split(PART_END) for one in others]
+    parts = [_TAG.sub(rf'<\1 data-part="{n}"', part, count=1) for n, (part, _) in enumerate(pairs)]
+    return parts, [first, *(after for _, after in pairs)]
 
 
 @cache

@@ -17,6 +17,7 @@ from opnav_workbench.report.scales import STRIP_ASPECT, vector_scale
 from opnav_workbench.session import ImageSession, SessionState
 from opnav_workbench.workbench.markup import render
 from opnav_workbench.workbench.overlays import expected_attitude, look_alike
+from opnav_workbench.workbench.recent import Recent
 
 __all__ = [
     "ResidualPage",
@@ -266,19 +267,25 @@ class StarResiduals:
         return all(np.array_equal(getattr(self, one), getattr(other, one), equal_nan=True) for one in names)
 
 
-# As last asked for, with the inputs and the state that they are of.
-_KEPT: WeakKeyDictionary[ImageSession, tuple[object, SessionState, StarResiduals]] = WeakKeyDictionary()
+# As last asked for, of the inputs and the states that they are of.
+_KEPT: WeakKeyDictionary[ImageSession, Recent[tuple[object, SessionState, StarResiduals]]] = (
+    WeakKeyDictionary()
+)
 
 
 def star_residuals(session: ImageSession) -> StarResiduals:
     """Return the residuals of the stars in use, as the session stands: the same object as long as they are the same."""
     inputs, state = session.inputs, session.state
-    kept_of, kept_at, kept = _KEPT.get(session, (None, None, None))
-    if kept is None or kept_of is not inputs or not look_alike(kept_at, state):
+    kept = _KEPT.setdefault(session, Recent())
+
+    def residuals() -> StarResiduals:
+        known = [one for of, at, one in kept if of is inputs and look_alike(at, state)]
+        if known:
+            return known[0]
         fresh = _residuals_of(session)
-        kept = fresh if kept is None or not fresh.is_as(kept) else kept
-    _KEPT[session] = (inputs, state, kept)
-    return kept
+        return next((one for _, _, one in kept if fresh.is_as(one)), fresh)
+
+    return kept.of((inputs, state), lambda: (inputs, state, residuals()))[2]
 
 
 def _residuals_of(session: ImageSession) -> StarResiduals:
@@ -353,22 +360,20 @@ class ResidualPage:
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
-        self._rows: StarResiduals | None = None
-        self._plots: ResidualPlots | None = None
-        self._drawn = Markup("")
+        self._recent: Recent[tuple[ResidualPlots | None, Markup]] = Recent()
 
     def html(self, rows: StarResiduals, focus: str) -> Markup | None:
         """Return the plots with the star `focus` standing out; None without a star in use."""
-        if self._rows is not rows:
-            self._plots = residual_plots(rows, self._size)
-            if self._plots is not None:
-                self._drawn = render("residual_plots.html", residuals=self._plots)
-        self._rows = rows
-        if self._plots is None:
+        plots, drawn = self._recent.of((rows,), lambda: self._draw(rows))
+        if plots is None:
             return None
-        first, *others = self._drawn.split(FOCUS_PLACE)
-        points = [render("focus_points.html", list=one) for one in self._plots.focused(focus)]
+        first, *others = drawn.split(FOCUS_PLACE)
+        points = [render("focus_points.html", list=one) for one in plots.focused(focus)]
         return first + Markup("").join(a + b for a, b in zip(points, others, strict=True))
+
+    def _draw(self, rows: StarResiduals) -> tuple[ResidualPlots | None, Markup]:
+        plots = residual_plots(rows, self._size)
+        return plots, Markup("") if plots is None else render("residual_plots.html", residuals=plots)
 
 
 def _against_magnitude(

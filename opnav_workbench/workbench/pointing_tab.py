@@ -17,7 +17,8 @@ from opnav_workbench.stars.pointing.attitude_steps import POINTING_MODELS
 from opnav_workbench.workbench.actions import NUDGE, TWO_STARS, ActionRegistry
 from opnav_workbench.workbench.field_depth import field_depth
 from opnav_workbench.workbench.markup import render
-from opnav_workbench.workbench.plots import StarResiduals, residual_plots, star_residuals, vector_plot
+from opnav_workbench.workbench.plots import residual_plots, star_residuals, vector_plot
+from opnav_workbench.workbench.recent import Recent
 from opnav_workbench.workbench.tabs import ARROW_STEPS, Handler, PageEvent, StepRunner, Tab
 from opnav_workbench.workbench.viewer import Layer
 
@@ -113,7 +114,7 @@ class PointingTab(Tab):
     def __init__(self, runner: StepRunner, registry: ActionRegistry) -> None:
         super().__init__(runner, registry)
         self.marks = TwoStarMarks()
-        self._plotted: tuple[StarResiduals, Markup | None] | None = None
+        self._plotted: Recent[Markup | None] = Recent()
 
     def handlers(self) -> dict[str, Handler]:
         """Return what it does, by action name."""
@@ -170,11 +171,13 @@ class PointingTab(Tab):
     def _plots(self, session: ImageSession) -> Markup | None:
         """Return the plots of the residuals, drawn once for residuals that stay as they are; None without a star in use."""
         rows = star_residuals(session)
-        if self._plotted is None or self._plotted[0] is not rows:
+
+        def drawn() -> Markup | None:
             residuals = residual_plots(rows, RESIDUAL_PLOT_PX)
             shown = {"residuals": residuals, "vectors": vector_plot(rows, VECTOR_PLOT_PX)}
-            self._plotted = rows, None if residuals is None else render("pointing_plots.html", **shown)
-        return self._plotted[1]
+            return None if residuals is None else render("pointing_plots.html", **shown)
+
+        return self._plotted.of((rows,), drawn)
 
     def _field_line(self) -> str:
         found = self.runner.session.state.star_field

@@ -24,6 +24,7 @@ from opnav_workbench.workbench.actions import PLACE_STAR, REASON_MENU, REJECT_RE
 from opnav_workbench.workbench.markup import PagePicture, render
 from opnav_workbench.workbench.overlays import look_alike
 from opnav_workbench.workbench.plots import ResidualPage, star_residuals
+from opnav_workbench.workbench.recent import Recent
 from opnav_workbench.workbench.stretch import RESIDUAL_SIGMAS, gray_png, residual_png
 from opnav_workbench.workbench.tabs import Handler, PageEvent, StepRunner, Tab, next_of
 
@@ -333,7 +334,7 @@ class StarsTab(Tab):
         self.search = runner.search
         self.table = False
         self.order, self.descending = "catalog", False
-        self._cached: _StarCache | None = None
+        self._recent: Recent[_StarCache] = Recent()
         self._plots = ResidualPage(RESIDUAL_PLOT_PX)
 
     # -- what stands -------------------------------------------------------------------------------------------
@@ -341,15 +342,18 @@ class StarsTab(Tab):
     @property
     def _cache(self) -> _StarCache:
         session = self.runner.session
-        if self._cached is None or self._cached.state is not session.state:
-            rows = NO_STARS
-            if session.state.a_priori is not None:
-                rows = star_rows(session.context, session.inputs, session.state)
-                rows = rows.taken(np.flatnonzero([status != "off_detector" for status in rows.status]))
-            before, self._cached = self._cached, _StarCache(session.state, rows)
-            if before is not None and look_alike(before.state, session.state):
-                self._cached.take_over(before)
-        return self._cached
+        return self._recent.of((session.inputs, session.state), lambda: self._gathered(session))
+
+    def _gathered(self, session: ImageSession) -> _StarCache:
+        rows = NO_STARS
+        if session.state.a_priori is not None:
+            rows = star_rows(session.context, session.inputs, session.state)
+            rows = rows.taken(np.flatnonzero([status != "off_detector" for status in rows.status]))
+        gathered = _StarCache(session.state, rows)
+        before = next(iter(self._recent), None)
+        if before is not None and look_alike(before.state, session.state):
+            gathered.take_over(before)
+        return gathered
 
     @property
     def rows(self) -> StarRows:
@@ -502,7 +506,9 @@ class StarsTab(Tab):
         """Accept the star under decision and go on."""
         star = self._star_or_raise()
         self.runner.decide(
-            lambda: self.runner.session.accept_stars([star]), lambda: self._gone_on(star, "accepted")
+            lambda: self.runner.session.accept_stars([star]),
+            lambda: self._gone_on(star, "accepted"),
+            quick=True,
         )
 
     def reject(self, reason: str) -> None:
@@ -512,6 +518,7 @@ class StarsTab(Tab):
         self.runner.decide(
             lambda: self.runner.session.reject_stars([star], reason),
             lambda: self._gone_on(star, f"rejected ({reason})"),
+            quick=True,
         )
 
     def _star_or_raise(self) -> str:
@@ -560,7 +567,7 @@ class StarsTab(Tab):
         rest = [star for star in self.runner.undecided() if status.get(star) == "used"]
         if not rest:
             raise SessionError("no undecided star is in use.")
-        self.runner.decide(lambda: session.accept_stars(rest), f"{len(rest)} stars accepted.")
+        self.runner.decide(lambda: session.accept_stars(rest), f"{len(rest)} stars accepted.", quick=True)
 
     def _toggle_examine(self) -> None:
         self.runner.examine_each = not self.runner.examine_each

@@ -159,11 +159,15 @@ giving_way = GivingWay()  # one for all, as the interpreter has one interval
 # ---- The runner: the session at hand, the picture, the status line and the tool in use; and how steps are run.
 
 AT_ONCE_S = 0.15  # a step that takes less is simply done; a longer one shows progress and can be cancelled
+AFTER_PAINT_S = (
+    0.05  # until what follows by itself begins: the page draws first, which wants the processor, too
+)
 TICK_S = 1.0
 # Reasons of steps that follow another by themselves: a repointing after a decision on stars, observables after a center.
 # Undo takes both back, redo takes both again.
 FOLLOWS_DECISION, FOLLOWS_CENTER = "follows the stars", "follows the center"
 FOLLOWING = (FOLLOWS_DECISION, FOLLOWS_CENTER)
+DECISIONS_ON_STARS = ("accept_stars", "reject_stars", "place_star", "refit_stars")
 
 
 class StepCancelledError(SessionError):
@@ -183,6 +187,7 @@ class RunningStep:
     due: bool = False  # it is to begin after the paint
     background: bool = False  # nobody waits for it any more: its own thread reports
     leavable: bool = False
+    gives_way: bool = False  # a decision takes its place, and begins it anew
     then: Callable[[BaseException | None], None] | None = None  # says what became of it
     follow: "RunningStep | None" = None  # begins by itself once this one went well and is painted
     work: Callable[[], object] = lambda: None
@@ -243,6 +248,7 @@ class StepRunner:
         *,
         then: Callable[[BaseException | None], None] | None = None,
         leavable: bool = False,
+        quick: bool = False,
         follow: RunningStep | None = None,
     ) -> None:
         """Run a step: at once if it is quick, else on with progress while the page stays alive.
@@ -257,14 +263,21 @@ class StepRunner:
             Called at the end whether it went well or not, and says itself what became of it.
         leavable
             It goes on for itself when the analyst goes elsewhere: the opening of an image.
+        quick
+            It takes no time, as putting down a verdict does: no thread is begun for it.
         follow
             Begins once this step went well and its outcome is painted.
         """
-        if self.running is not None:
+        if self.running is not None and quick and self.running.gives_way:
+            self.running.cancelled = True  # of a state that is none any more: nothing of it is recorded
+        elif self.running is not None:
             self.status.say(f"still {self.running.label}; Esc cancels it.", "busy")
             return
         step = self.running = RunningStep(label, done, then=then, leavable=leavable, follow=follow, work=work)
-        threading.Thread(target=self._work, args=(step,), daemon=True).start()
+        if quick:
+            self._work(step)
+        else:
+            threading.Thread(target=self._work, args=(step,), daemon=True).start()
         step.finished.wait(AT_ONCE_S)
         with step.concluding:
             step.background = not step.finished.is_set()
@@ -279,8 +292,13 @@ class StepRunner:
         if step is None or not step.due:
             return
         step.due, step.background, step.started_s = False, True, time.monotonic()
-        for task in (self._work, self._tick):
-            threading.Thread(target=task, args=(step,), daemon=True).start()
+        threading.Thread(target=self._follow, args=(step,), daemon=True).start()
+
+    def _follow(self, step: RunningStep) -> None:
+        time.sleep(AFTER_PAINT_S)
+        if not step.cancelled:
+            threading.Thread(target=self._tick, args=(step,), daemon=True).start()
+            self._work(step)
 
     def _work(self, step: RunningStep) -> None:
         self._thread.step = step
@@ -292,9 +310,11 @@ class StepRunner:
                 step.work()
         except Exception as error:  # shown in the status line, whatever it is
             step.error = error
+        finally:
+            self._thread.step = None
         with step.concluding:
             step.finished.set()
-        if step.background:
+        if step.background and not step.cancelled:
             with self.lock, self.painting():
                 self._conclude(step)
                 self._serve_line()
@@ -405,7 +425,10 @@ class StepRunner:
         taken = self.session.undo()
         while taken.reason in FOLLOWING:
             taken = self.session.undo()
-        self.status.say(f"undone: {entry_words(taken)}", "done")
+        standing, solved = self.session.standing, self.session.state.pointing is not None
+        left = solved and standing and standing[-1].step in DECISIONS_ON_STARS
+        hint = "; the pointing is of before the last decision: P solves it again" if left else ""
+        self.status.say(f"undone: {entry_words(taken)}{hint}", "done")
         return taken
 
     def redo(self) -> None:
@@ -435,7 +458,9 @@ class StepRunner:
         used, on_detector = int(state.mask("used").sum()), int((~state.mask("off_detector")).sum())
         return "; ".join([f"{used} of {on_detector} stars found", *state.notes.get("stars", ())])
 
-    def decide(self, decision: Callable[[], object], done: str | Callable[[], str]) -> None:
+    def decide(
+        self, decision: Callable[[], object], done: str | Callable[[], str], *, quick: bool = False
+    ) -> None:
         """Take a decision on stars, shown at once; where a pointing stands, solve it again with what is then in use."""
         session, told = self.session, ""
 
@@ -453,9 +478,10 @@ class StepRunner:
             follow = RunningStep(
                 "solving the pointing",
                 followed,
-                work=lambda: session.repoint(self.model, reason=FOLLOWS_DECISION),
+                gives_way=True,
+                work=lambda: session.repoint(self.model, reason=FOLLOWS_DECISION, gives_way=True),
             )
-        self.run("deciding", decision, say, follow=follow)
+        self.run("deciding", decision, say, quick=quick, follow=follow)
 
     def undecided(self) -> list[str]:
         """Return the ids of the stars on the detector that nobody has decided on."""

@@ -274,3 +274,39 @@ def test_regions_and_solved_wcs_are_written_by_what_the_page_offers(bench):
     # The readout tells apparent directions, the WCS those of the catalog: 20 arcsec of aberration at most.
     np.testing.assert_allclose((found[0] - ra) * np.cos(np.radians(dec)), 0.0, atol=40.0 / 3600.0)
     np.testing.assert_allclose(found[1], dec, atol=40.0 / 3600.0)
+
+
+# Kept from before: elements of the panel that bear a mark, of those that there are.
+KEPT = """() => { const all = [...document.querySelectorAll('.ow-window .ow-panel .card, .ow-window .ow-panel img')];
+  return [all.filter((one) => one.keptMark).length, all.length]; }"""
+MARK = "() => document.querySelectorAll('.ow-window .ow-panel :is(.card, img)').forEach((one) => { one.keptMark = true; })"
+# BokehJS' questions for styles, which make the browser work out all of them at once.
+ASKED = """() => { const ask = globalThis.getComputedStyle; globalThis.asked = [];
+  globalThis.getComputedStyle = (node, ...rest) => {
+    if (/\\bbk-/.test(node.className)) asked.push(node.className);
+    return ask(node, ...rest);
+  }; }"""
+
+
+def test_a_step_from_star_to_star_makes_no_picture_anew(bench):
+    page = bench.page
+    here = page.inner_text(".ow-window .ow-panel .focus b.id")
+    page.evaluate(MARK)
+    bench.press("n")
+    page.wait_for_function(
+        "(id) => document.querySelector('.ow-window .ow-panel .focus b.id').textContent !== id", arg=here
+    )
+    kept, there = page.evaluate(KEPT)
+    assert kept == there > 8
+    shown = page.inner_text(".ow-window .ow-panel .focus b.id")
+    assert page.get_attribute(".ow-window .ow-panel .card.here", "data-star") == shown
+    assert page.locator(".ow-window .ow-panel .card.here").count() == 1
+
+
+def test_zoom_and_room_ask_for_no_style(bench):
+    page = bench.page
+    page.evaluate(ASKED)
+    for key in ("+", "h", "F", "F"):
+        bench.press(key)
+        page.evaluate("() => opnavDrawn()")
+    assert page.evaluate("() => asked") == []

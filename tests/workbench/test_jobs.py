@@ -286,3 +286,43 @@ def test_the_next_picture_is_one_message_and_then_told(solved_sessions, kernels)
     sent.clear()
     press(bench.controller, "PageDown")
     assert sent == ["refresh", "header"]  # a strip after a frame: the page is laid out anew
+
+
+def test_a_decision_waits_for_no_solution_that_follows_another(star_hands, monkeypatch):
+    """It is taken and shown at once; the solution of a state that is none any more is dropped, and begun anew."""
+    star_hands.press("p")
+    bench, session = star_hands.controller, star_hands.session
+    begun, go_on, original = threading.Event(), threading.Event(), session._history.state_after_step
+
+    def slow(step, parameters):
+        if step == "repoint":
+            begun.set()
+            assert go_on.wait(10.0)
+        return original(step, parameters)
+
+    monkeypatch.setattr(session._history, "state_after_step", slow)
+    press(bench, "a")
+    assert begun.wait(10.0)
+    press(bench, "r", "1")
+    assert [verdict for verdict, _ in session.state.decisions.values()] == ["accepted", "rejected"]
+    assert "13 undecided" in star_hands.panel
+    go_on.set()
+    bench.runner.wait()
+    assert star_hands.steps[-4:] == ["repoint", "accept_stars", "reject_stars", "repoint"]
+    assert session.state.pointing.n_stars == 14
+    press(bench, "Ctrl+z")
+    assert star_hands.steps[-1] == "accept_stars"
+    assert "P solves it again" in star_hands.said
+
+
+def test_a_key_that_is_no_decision_waits_for_the_solution(star_hands, monkeypatch):
+    star_hands.press("p")
+    go_on, original = threading.Event(), star_hands.session._history.state_after_step
+    slow = lambda *step: (go_on.wait(10.0), original(*step))[1]  # noqa: E731
+    press(star_hands.controller, "a")
+    monkeypatch.setattr(star_hands.session._history, "state_after_step", slow)
+    press(star_hands.controller, "Ctrl+z")
+    assert "accept_stars" in star_hands.steps
+    go_on.set()
+    star_hands.controller.runner.wait()
+    assert "accept_stars" not in star_hands.steps

@@ -201,3 +201,20 @@ def test_rows_of_the_stars_say_what_their_boxes_do(star_hands):
     turned = rows.taken(np.argsort(-rows.mag))
     assert (np.diff(turned.mag) <= 0.0).all()
     assert turned.ids[0] == rows.ids[int(rows.mag.argmax())]
+
+
+def test_an_undo_comes_back_to_what_was_drawn(star_hands, monkeypatch):
+    """What a decision and the solution after it had changed stands as before: no card and no plot is drawn anew."""
+    star_hands.press("p")
+    before, drawn = star_hands.panel, []
+    star_hands.press("r", "1")
+
+    def counted(template, **content):
+        drawn.append(template)
+        return render(template, **content)
+
+    for module in (stars_tab, plots):
+        monkeypatch.setattr(module, "render", counted)
+    star_hands.press("Ctrl+z")
+    assert star_hands.panel == before
+    assert not {"star_card.html", "residual_plots.html"} & set(drawn)

@@ -3,6 +3,7 @@
 // to Python    open, patch, pull, key, event, error, closed
 // from Python  bokeh, document, patch, piece, refresh, keys, do, status, done
 
+const TITLE = "opnav_workbench"; // of Python's document
 const GATHER_MS = 40; // changes of a pan or a zoom go out together
 const LOAD_MS = 30000; // BokehJS must have come by then
 
@@ -28,10 +29,26 @@ function bokehOfPage(version, parts, ask) {
 }
 
 // BokehJS writes the style of each of a figure's parts at each paint, and asks the browser for styles in between, which then
-// works all of them out anew: a fifth of a paint. What stands there already is not written again.
+// works all of them out anew: a fifth of a paint. What stands there already is not written again; and of our own figures the
+// size of letters is asked for once, and no color is looked for among the page's styles (`--bk-...`), where they have none.
 function calm(bokeh) {
   const sheet = bokeh.require("core/dom").InlineStyleSheet?.prototype;
   if (!sheet?._update || sheet.opnavCalm) return;
+  const isOurs = (view) => view.model.document?.title() === TITLE;
+  const look = bokeh.require("core/visuals/visual").VisualProperties?.prototype;
+  const ask = look?._get_css_value;
+  if (ask)
+    look._get_css_value = function (name) {
+      return isOurs(this.obj) ? "" : ask.call(this, name);
+    };
+  const plot = bokeh.require("models/plots/plot_canvas").PlotView?.prototype;
+  const size = plot && Object.getOwnPropertyDescriptor(plot, "base_font_size")?.get;
+  if (size)
+    Object.defineProperty(plot, "base_font_size", {
+      get() {
+        return isOurs(this) ? (this.opnavFontPx ??= size.call(this)) : size.call(this);
+      },
+    });
   const write = sheet._update;
   sheet.opnavCalm = true;
   sheet._update = function (css) {

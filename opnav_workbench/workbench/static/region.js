@@ -34,6 +34,14 @@ function morph(node, wanted) {
   while (node.childNodes.length > fresh.length) node.lastChild.remove();
 }
 
+// The first element of a text; `beside` tells whether it is one of HTML or of SVG, and a row of a table stands in none but one.
+function elementOf(text, beside) {
+  const parsed = document.createElement("template"); // inert: pictures that stand already are not loaded once more
+  const svg = beside.namespaceURI.endsWith("svg");
+  parsed.innerHTML = svg ? `<svg>${text}</svg>` : text;
+  return svg ? parsed.content.firstElementChild.firstElementChild : parsed.content.firstElementChild;
+}
+
 // Whether the kernel answers: one watch for all regions of a workbench.  Only what tells that it has ended makes it dead.
 class Life {
   constructor(root) {
@@ -349,12 +357,24 @@ function render({ model, el }) {
       dead(); // the front end knows that the kernel is gone
     }
   };
-  const paint = () => {
-    const parsed = document.createElement("template"); // inert: pictures that stand already are not loaded once more
-    parsed.innerHTML = `<div class="ow-body">${model.get("html")}</div>`;
-    const wanted = parsed.content.firstElementChild;
+  const paint = () => show(model.get("html"));
+  const show = (html) => change(() => morph(body, elementOf(`<div class="ow-body">${html}</div>`, body)));
+  // Nothing but what has changed; a page that was opened meanwhile, or shown anew, may lack its place.
+  const patch = (parts) => {
+    model.owPatched = true;
+    const places = Object.entries(parts).map(([number, text]) => [body.querySelector(`[data-part="${number}"]`), text]);
+    if (!places.every(([place]) => place)) return post({ act: "whole" });
+    change(() => {
+      for (const [place, text] of places) {
+        const wanted = elementOf(text, place);
+        if (isSamePart(place, wanted)) morph(place, wanted);
+        else place.replaceWith(wanted);
+      }
+    });
+  };
+  const change = (task) => {
     const lost = root()?.contains(document.activeElement);
-    morph(body, wanted);
+    task();
     if (lost && !root().contains(document.activeElement)) root().focus({ preventScroll: true });
     count();
     take();
@@ -381,10 +401,15 @@ function render({ model, el }) {
     if (shell && model.get("keymap").length)
       shell.owKeymap = { keys: model.get("keymap"), own: model.get("picture_keys"), alone: model.get("picture_alone"), room: model.get("page_keys"), typing: model.get("typing_keys") };
   };
-  model.on("change:html", paint);
+  model.on("change:html", () => {
+    model.owPatched = false;
+    paint();
+  });
   model.on("change:keymap", keys);
   model.on("msg:custom", (message) => {
     if (message.beat) return life()?.beat();
+    if (message.parts) return patch(message.parts);
+    if (message.whole !== undefined) return show(message.whole);
     if (root()?.owKeymap?.typing.includes(message.key)) root().owTyped = undefined; // it is answered: no field has come
     life()?.answer();
   });
@@ -393,6 +418,7 @@ function render({ model, el }) {
   listenForClicks(el, post);
   listenForBoxes(el, post);
   paint();
+  if (model.owPatched) post({ act: "whole" }); // of the same region shown once more: what the model holds is older
   let shell = null;
   const attached = () => {
     shell = root();
