@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DATA_VARIABLE = "OPNAV_DATA"
 BROWSER = "tests/browser/"
-SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run
+SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run, and of hostile inputs what is tried
 LEFT_OUT = pytest.StashKey[int]()
 
 
@@ -124,22 +124,23 @@ def sample(pytestconfig: pytest.Config) -> Sample:
 
 @dataclass(frozen=True)
 class Fuzz:
-    """How many hostile inputs a test tries, its own number or as told, and from which seed."""
+    """How many hostile inputs a test tries, its own number (a share of it in the short run) or as told; from which seed."""
 
     told: int | None
     seed: int
+    sample: Sample
 
     def count(self, number: int) -> int:
-        return number if self.told is None else self.told
+        return self.sample.trials(number) if self.told is None else self.told
 
     def random(self, reader: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, *reader.encode()])
 
 
 @pytest.fixture(scope="session")
-def fuzz(pytestconfig: pytest.Config) -> Fuzz:
+def fuzz(pytestconfig: pytest.Config, sample: Sample) -> Fuzz:
     options = pytestconfig.getoption
-    return Fuzz(options("--fuzz"), options("--fuzz-seed"))
+    return Fuzz(options("--fuzz"), options("--fuzz-seed"), sample)
 
 
 # ---- Which process runs what

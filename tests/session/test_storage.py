@@ -12,6 +12,7 @@ from opnav_workbench.catalog import open_catalog
 from opnav_workbench.errors import SessionError
 from opnav_workbench.files import json_text
 from opnav_workbench.session import ImageSession, Settings
+from opnav_workbench.session.autosave import STATE_FILE
 
 FILES = ("observables.ecsv", "result.json", "session.json")
 
@@ -140,7 +141,8 @@ def test_session_file_is_json_of_plain_values(folder):
     data = json.loads((folder / "session.json").read_text())
     assert data["mission"] == "new_horizons"
     assert data["journal"][0]["step"] == "predict"
-    assert sorted(path.name for path in folder.iterdir()) == list(FILES)
+    # A state stands there, too, where the machine was slow: steps that take long are not to be carried out twice.
+    assert sorted(path.name for path in folder.iterdir() if path.name != STATE_FILE) == list(FILES)
 
 
 # -- what cannot be resumed ----------------------------------------------------------------------------------------
