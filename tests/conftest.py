@@ -47,8 +47,14 @@ def pytest_configure() -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, Any, Any]:
+def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     """What collection loads stays to the end: the garbage collector need not look through it again and again."""
+    if not session.config.pluginmanager.hasplugin("dsession"):  # xdist's first process, which runs no tests
+        from hypothesis import settings
+
+        # How long an example takes says how busy the machine is: 0.2 s, hypothesis' deadline, is soon over beside others.
+        settings.register_profile("unhurried", settings.default, deadline=None)
+        settings.load_profile("unhurried")
     gc.disable()
     try:
         return (yield)
