@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DATA_VARIABLE = "OPNAV_DATA"
 BROWSER = "tests/browser/"
-SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run
+SHORT_SHARE = 0.2  # of their trials is what statistical tests make in the short run, and of hostile inputs what is tried
 LEFT_OUT = pytest.StashKey[int]()
 
 
@@ -47,8 +47,14 @@ def pytest_configure() -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection() -> Generator[None, Any, Any]:
+def pytest_collection(session: pytest.Session) -> Generator[None, Any, Any]:
     """What collection loads stays to the end: the garbage collector need not look through it again and again."""
+    if not session.config.pluginmanager.hasplugin("dsession"):  # xdist's first process, which runs no tests
+        from hypothesis import settings
+
+        # How long an example takes says how busy the machine is: 0.2 s, hypothesis' deadline, is soon over beside others.
+        settings.register_profile("unhurried", settings.default, deadline=None)
+        settings.load_profile("unhurried")
     gc.disable()
     try:
         return (yield)
@@ -124,22 +130,23 @@ def sample(pytestconfig: pytest.Config) -> Sample:
 
 @dataclass(frozen=True)
 class Fuzz:
-    """How many hostile inputs a test tries, its own number or as told, and from which seed."""
+    """How many hostile inputs a test tries, its own number (a share of it in the short run) or as told; from which seed."""
 
     told: int | None
     seed: int
+    sample: Sample
 
     def count(self, number: int) -> int:
-        return number if self.told is None else self.told
+        return self.sample.trials(number) if self.told is None else self.told
 
     def random(self, reader: str) -> np.random.Generator:
         return np.random.default_rng([self.seed, *reader.encode()])
 
 
 @pytest.fixture(scope="session")
-def fuzz(pytestconfig: pytest.Config) -> Fuzz:
+def fuzz(pytestconfig: pytest.Config, sample: Sample) -> Fuzz:
     options = pytestconfig.getoption
-    return Fuzz(options("--fuzz"), options("--fuzz-seed"))
+    return Fuzz(options("--fuzz"), options("--fuzz-seed"), sample)
 
 
 # ---- Which process runs what

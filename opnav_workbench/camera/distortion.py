@@ -16,14 +16,14 @@ so that directions beyond do not appear on the detector.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from opnav_workbench.arrays import FloatArray, readonly
 from opnav_workbench.errors import CameraError
@@ -59,6 +59,19 @@ class Distortion(ABC):
     least_stretch: ClassVar[float] = (
         0.1  # d(distorted)/d(ideal) below this is no camera's any more, and soon folds
     )
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Distortion):
+            return NotImplemented
+        return type(other) is type(self) and self._values() == other._values()
+
+    def __hash__(self) -> int:
+        return hash((type(self), self._values()))
+
+    def _values(self) -> tuple[Any, ...]:
+        """Return what two distortions that are the same have in common."""
+        values = (getattr(self, item.name) for item in fields(self))  # type: ignore[arg-type]
+        return tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values)
 
     @abstractmethod
     def distort(self, xy_mm: ArrayLike) -> FloatArray:
@@ -355,21 +368,41 @@ class _SipPolynomials:
 
     def _map(self, xy_mm: ArrayLike) -> FloatArray:
         xy = np.asarray(xy_mm, dtype=np.float64)
-        u, v = np.moveaxis(xy @ self.pixel_from_mm.T, -1, 0)
-        shift = np.stack([polynomial.polyval2d(u, v, self.f), polynomial.polyval2d(u, v, self.g)], axis=-1)
-        return np.asarray(xy + shift @ np.linalg.inv(self.pixel_from_mm).T)
+        shifts, _, mm_from_pixel = _sip_series(self)
+        shift = _series_at(shifts, xy @ self.pixel_from_mm.T)
+        return np.asarray(xy + shift @ mm_from_pixel.T)
 
     def _map_jacobian(self, xy_mm: ArrayLike) -> FloatArray:
-        u, v = np.moveaxis(np.asarray(xy_mm, dtype=np.float64) @ self.pixel_from_mm.T, -1, 0)
-        rows = [
-            np.stack(
-                [polynomial.polyval2d(u, v, polynomial.polyder(c, axis=axis)) for axis in (0, 1)], axis=-1
-            )
-            for c in (self.f, self.g)
-        ]
-        return np.asarray(
-            np.eye(2) + np.linalg.inv(self.pixel_from_mm) @ np.stack(rows, axis=-2) @ self.pixel_from_mm
-        )
+        xy = np.asarray(xy_mm, dtype=np.float64)
+        _, slopes, mm_from_pixel = _sip_series(self)
+        rows = _series_at(slopes, xy @ self.pixel_from_mm.T).reshape(*xy.shape[:-1], 2, 2)
+        return np.asarray(np.eye(2) + mm_from_pixel @ rows @ self.pixel_from_mm)
+
+
+@lru_cache(maxsize=16)
+def _sip_series(model: _SipPolynomials) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients [p, q, series] of f and g, those of df/du, df/dv, dg/du, dg/dv, and mm per pixel (2, 2)."""
+    slopes = [np.asarray(polynomial.polyder(c, axis=axis)) for c in (model.f, model.g) for axis in (0, 1)]
+    return (
+        _stacked([model.f, model.g]),
+        _stacked(slopes),
+        readonly(np.linalg.inv(model.pixel_from_mm)),
+    )
+
+
+def _stacked(matrices: Sequence[NDArray[Any]]) -> FloatArray:
+    """Matrices of coefficients as one array [p, q, series]; what the smaller ones lack is zero."""
+    stacked = np.zeros((*np.max([matrix.shape for matrix in matrices], axis=0), len(matrices)))
+    for index, matrix in enumerate(matrices):
+        stacked[: matrix.shape[0], : matrix.shape[1], index] = matrix
+    return readonly(stacked)
+
+
+def _series_at(coefficients: FloatArray, uv: FloatArray) -> FloatArray:
+    """Evaluate polynomials [p, q, series] at points (..., 2), all at once: an array (..., series)."""
+    u, v = uv[..., 0].ravel(), uv[..., 1].ravel()
+    values = polynomial.polyval(v, polynomial.polyval(u, coefficients), tensor=False)
+    return np.ascontiguousarray(values.T, dtype=np.float64).reshape(*uv.shape[:-1], coefficients.shape[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -549,22 +582,28 @@ def _both_axes(x: FloatArray, y: FloatArray, series: FloatArray) -> FloatArray:
 
 REACH_RAYS = 16
 REACH_RADII = 200
+RINGS_AT_A_TIME = 20  # a factor of 2.7 in radius
 MIN_TANGENT, MAX_TANGENT = 1e-3, 20.0  # of the angle from the boresight: up to 87 deg, in steps of 5 %
 _TANGENTS = np.geomspace(MIN_TANGENT, MAX_TANGENT, REACH_RADII)
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, REACH_RAYS, endpoint=False)
 _CIRCLE = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1)
 
 
+@lru_cache(maxsize=128)
 def reach_mm(distortion: Distortion, focal_length_mm: float) -> float:
     """Return the ideal radius, mm, up to which `distortion` maps one to one along every ray.
 
-    Infinite where it does so up to 87 deg from the boresight.
+    Infinite where it does so up to 87 deg from the boresight. Found once for each distortion: cameras are varied.
     """
     radii = focal_length_mm * _TANGENTS
-    points = radii[:, None, None] * _CIRCLE
-    with np.errstate(all="ignore"):
-        folded = ~(_least_stretch(distortion.jacobian(points)) > distortion.least_stretch).all(axis=1)
-    return float(radii[max(int(folded.argmax()) - 1, 0)]) if folded.any() else np.inf
+    # Ring by ring outward, some at a time: beyond its fold a model is asked nothing, where Newton's method would only fail.
+    for first in range(0, REACH_RADII, RINGS_AT_A_TIME):
+        points = radii[first : first + RINGS_AT_A_TIME, None, None] * _CIRCLE
+        with np.errstate(all="ignore"):
+            folded = ~(_least_stretch(distortion.jacobian(points)) > distortion.least_stretch).all(axis=1)
+        if folded.any():
+            return float(radii[max(first + int(folded.argmax()) - 1, 0)])
+    return np.inf
 
 
 def _least_stretch(jacobian: FloatArray) -> FloatArray:

@@ -11,22 +11,12 @@ from typer.testing import CliRunner
 
 from opnav_workbench.cli.program import main
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import (
-    DEMO_CATALOG,
-    DEMO_KERNELS,
-    DEMO_MISSION,
-    DEMO_PICTURES,
-    simulate_picture,
-)
+from opnav_workbench.rehearsal import DEMO_KERNELS
 
 
-@pytest.fixture(scope="module")
-def good_picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    with KernelSet(DEMO_KERNELS):
-        return simulate_picture(
-            DEMO_PICTURES[0], load_mission(DEMO_MISSION), DEMO_CATALOG, tmp_path_factory.mktemp("good")
-        ).picture
+@pytest.fixture
+def good_picture(demo_truths) -> Path:
+    return demo_truths[0].picture
 
 
 def _run(capsys, monkeypatch, *arguments: object) -> tuple[int, str, str]:

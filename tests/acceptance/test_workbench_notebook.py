@@ -1,20 +1,21 @@
 """notebooks/workbench.ipynb headless: the gate holds without decisions, and recorded decisions go through it."""
 
 import json
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
 
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
-    DEMO_CATALOG,
     DEMO_KERNELS,
     DEMO_MISSION,
-    DEMO_PICTURES,
-    simulate_picture,
 )
 from opnav_workbench.session import ImageSession
+
+sys.path.insert(0, str(Path(__file__).parent))
+from warm_notebooks import execute
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "workbench.ipynb"
 MAX_BYTES = 100_000
@@ -44,22 +45,16 @@ def test_committed_without_outputs():
 
 @pytest.mark.slow
 def test_undecided_stars_stop_the_notebook_in_one_line(tmp_path):
-    from papermill import PapermillExecutionError
-
-    with pytest.raises(
-        PapermillExecutionError, match=r"SelectionPending: lorri_4x4\.fit: 4 stars wait to be"
-    ):
-        run(tmp_path)
+    with pytest.raises(AssertionError, match=r"SelectionPending: lorri_4x4\.fit: 4 stars wait to be"):
+        execute(NOTEBOOK, tmp_path / "out.ipynb", {"mode": "headless"}, tmp_path)
     assert not (tmp_path / "workbench_run" / "lorri_4x4" / "result.json").exists()
 
 
 @pytest.mark.slow
-def test_recorded_decisions_go_through(tmp_path):
+def test_recorded_decisions_go_through(demo_truths, tmp_path):
     """An analyst's session, written down, repeated headless: the same result, and a small notebook without widgets."""
     with KernelSet(DEMO_KERNELS):
-        picture = simulate_picture(
-            DEMO_PICTURES[0], load_mission(DEMO_MISSION), DEMO_CATALOG, tmp_path
-        ).picture
+        picture = Path(shutil.copy(demo_truths[0].picture, tmp_path))
         session = ImageSession.open(picture, DEMO_MISSION)
         session.predict()
         session.add_target("PLUTO")
@@ -87,7 +82,5 @@ def test_recorded_decisions_go_through(tmp_path):
 
 @pytest.mark.slow
 def test_a_misspelt_parameter_is_told(tmp_path):
-    from papermill import PapermillExecutionError
-
-    with pytest.raises(PapermillExecutionError, match=r"SessionError.*decision"):
-        run(tmp_path, decision="x.yaml")
+    with pytest.raises(AssertionError, match=r"SessionError.*decision"):
+        execute(NOTEBOOK, tmp_path / "out.ipynb", {"mode": "headless", "decision": "x.yaml"}, tmp_path)

@@ -210,7 +210,7 @@ def test_fits_that_lie_apart_are_compared_over_the_same_pixels():
 
 @pytest.mark.slow
 def test_a_patchy_surface_is_not_taken_for_one_that_leans():
-    """At 6 deg of phase the light of a strained sphere resembles a map's: tables that followed it were 0.6 px and 7 sigma off."""
+    """At 6 deg of phase a strained sphere's light resembles a map's: tables that followed it were 0.6 px and 7 sigma off."""
     trial = make_trial(draw(4008, 13))
     disk = measure_disk(trial.picture, trial.name, "disk", None, None)
     away = disk.fit.center_px - trial.truth_px

@@ -77,7 +77,7 @@ def test_a_center_far_beside_the_frame_goes_its_way_at_once():
 
 
 def test_light_that_a_converter_cut_off_is_told_by_how_its_pixels_crowd():
-    """Nobody named them saturated, and each has a noise of its own: values of a display, or calibrated after they were cut."""
+    """Nobody named them saturated, and each has a noise of its own: values of a display, or calibrated after the cut."""
     trial = make_trial(TrialSetup(21, 120.0, 40.0, peak_dn=300.0))
     rng = np.random.default_rng(4)
     whole = trial.picture

@@ -1,5 +1,6 @@
 """Distortion models against their published equations, other implementations, and finite differences."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,7 @@ from opnav_workbench.camera import (
     SipDistortion,
     TaylorDistortion,
 )
+from opnav_workbench.camera.distortion import reach_mm
 from opnav_workbench.camera.lens_models import centered
 from opnav_workbench.errors import CameraError
 from opnav_workbench.resources import kernels_meta_dir
@@ -287,6 +289,32 @@ def test_sip_agrees_with_astropy_both_ways():
     from_forward = forward.undistort(offsets_mm) @ SIP_MATRIX.T
     np.testing.assert_allclose(from_reverse, astropy_sip.foc2pix(offsets_px, 1), rtol=0, atol=1e-9)
     np.testing.assert_allclose(from_forward, astropy_sip.pix2foc(offsets_px, 1), rtol=0, atol=1e-9)
+
+
+@each_model
+def test_distortions_are_the_same_where_their_values_are(model, half_mm):
+    again = copy.deepcopy(model)
+    assert [name for name, (other, _) in MODELS.items() if other == again] == [
+        name for name, (other, _) in MODELS.items() if other is model
+    ]
+    assert hash(again) == hash(model)
+
+
+@each_model
+def test_the_reach_ends_where_the_first_of_all_rings_folds(model, half_mm):
+    focal_mm = getattr(model, "focal_mm", 10.0 * half_mm[0])
+    radii = focal_mm * np.geomspace(1e-3, 20.0, 200)
+    angles = 2.0 * np.pi * np.arange(16) / 16
+    with np.errstate(all="ignore"):
+        jacobian = model.jacobian(radii[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+        symmetric = 0.5 * (jacobian + np.swapaxes(jacobian, -1, -2))
+    holds = np.isfinite(symmetric).all(axis=(-1, -2))
+    least = np.where(
+        holds, np.linalg.eigvalsh(np.where(holds[..., None, None], symmetric, 0.0))[..., 0], -1.0
+    )
+    folded = (least <= model.least_stretch).any(axis=1)
+    expected = radii[max(folded.argmax() - 1, 0)] if folded.any() else np.inf
+    assert reach_mm(model, focal_mm) == pytest.approx(expected, rel=1e-12)
 
 
 def test_sip_from_header_keywords():

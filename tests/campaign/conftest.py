@@ -18,13 +18,17 @@ from opnav_workbench.targets import TargetState
 
 
 @pytest.fixture(scope="session")
-def real_run(demo_truths, tmp_path_factory):
+def real_run(demo_truths, made_once):
     """The demo's LORRI picture, processed: Pluto and Charon, four stars."""
     policy = Processing(mission=DEMO_MISSION, catalog=DEMO_CATALOG, targets=DEMO_TARGETS).opened()
-    with KernelSet(DEMO_KERNELS):
-        outcome = process_image(demo_truths[0].picture, policy, tmp_path_factory.mktemp("run"))
-    assert outcome.result["status"] == "ok", outcome.result["messages"]
-    return outcome.folder
+
+    def make(folder):
+        with KernelSet(DEMO_KERNELS):
+            outcome = process_image(demo_truths[0].picture, policy, folder, figure=False)
+        assert outcome.result["status"] == "ok", outcome.result["messages"]
+        return outcome.folder
+
+    return made_once("real_run", make)
 
 
 @pytest.fixture(scope="session")

@@ -154,12 +154,12 @@ def test_a_folder_that_cannot_be_written(picture, tmp_path):
 
 
 def test_replaying_decisions_is_bit_identical(picture, tmp_path):
-    first = process_image(picture, POLICY, tmp_path / "first")
+    first = process_image(picture, POLICY, tmp_path / "first", figure=False)
     star = next(s["id"] for s in first.result["stars"] if s["status"] == "used")
     file = tmp_path / "decisions.yaml"
     file.write_text(f'images: {{{picture.name}: {{reject: [{{star: "{star}", reason: smeared}}]}}}}')
     decided = replace(POLICY, decisions=load_decisions(file))
-    runs = [process_image(picture, decided, tmp_path / run) for run in ("a", "b")]
+    runs = [process_image(picture, decided, tmp_path / run, figure=False) for run in ("a", "b")]
     assert [(run.folder / "result.json").read_bytes() for run in runs][1:] == [
         (tmp_path / "a" / picture.stem / "result.json").read_bytes()
     ]

@@ -11,8 +11,7 @@ from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyResiduals
 from opnav_workbench.bodies.results import LimbScans
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
-from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS, DEMO_PICTURES, simulate_picture
+from opnav_workbench.rehearsal import DEMO_CATALOG, DEMO_KERNELS
 from opnav_workbench.report import body_figure, difference_figure, methods_figure, scan_figure, write_body
 from opnav_workbench.session import ImageSession
 
@@ -252,11 +251,9 @@ def test_nothing_leaves_the_page():
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory) -> Iterator[ImageSession]:
-    folder = tmp_path_factory.mktemp("picture")
+def session(demo_truths) -> Iterator[ImageSession]:
     with KernelSet(DEMO_KERNELS):
-        truth = simulate_picture(DEMO_PICTURES[0], load_mission("new_horizons"), DEMO_CATALOG, folder)
-        made = ImageSession.open(truth.picture, "new_horizons", catalog=DEMO_CATALOG)
+        made = ImageSession.open(demo_truths[0].picture, "new_horizons", catalog=DEMO_CATALOG)
         made.predict()
         made.find_stars()
         made.repoint()

@@ -9,13 +9,10 @@ from PIL import Image
 
 from opnav_workbench.errors import SessionError
 from opnav_workbench.kernels import KernelSet
-from opnav_workbench.mission import load_mission
 from opnav_workbench.rehearsal import (
     DEMO_CATALOG,
     DEMO_KERNELS,
-    DEMO_PICTURES,
     DEMO_TARGETS,
-    simulate_picture,
 )
 from opnav_workbench.report import summary_figure, write_summary
 from opnav_workbench.report.scales import round_scale
@@ -25,10 +22,9 @@ PREDICTED, OBSERVED, BODY = "#F0E442", "#56B4E9", "#CC79A7"
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory):
-    folder, mission = tmp_path_factory.mktemp("pictures"), load_mission("new_horizons")
+def pictures(demo_truths):
     with KernelSet(DEMO_KERNELS):
-        yield [simulate_picture(r, mission, DEMO_CATALOG, folder).picture for r in DEMO_PICTURES]
+        yield [truth.picture for truth in demo_truths]
 
 
 @pytest.fixture
