@@ -899,7 +899,7 @@ class _Fitter:
         part = most * min(1.0, *bounds)
         # A limb that lies elsewhere tells nothing of the light yet.
         near = part * (min(bounds) >= 1.0)
-        # What shading would explain, the albedo of a patchy surface does as well: tables that follow it are led away by that.
+        # What shading explains, the albedo of a patchy surface does as well: tables that follow it would be led away.
         leaning = 0.0 if _is_uneven(self.prior) else near
         parts = np.array([part, part, leaning, leaning, leaning])
         law = np.clip(self._meant_law(linear), *self.problem.law_bounds)
