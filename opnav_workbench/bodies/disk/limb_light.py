@@ -466,9 +466,7 @@ def _spread_along_rays(
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
     variance = psf_variance(picture.psf, blur_px2)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2).astype(np.float32)
-    single = rows.reshape(len(rows), t, len(node)).astype(
-        np.float32
-    )  # 1e-7 of light that models hold to 1e-3
+    single = rows.reshape(len(rows), t, len(node)).astype(np.float32)  # 1e-7: models hold light to 1e-3
     around = fft.irfft(fft.rfft(single, axis=1) * wave[:, None], t, axis=1)
     sources = np.matmul(around, cell_means(fine, step, node))
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)

@@ -131,10 +131,8 @@ class _MarginalEquations(NamedTuple):
 
     def width(self, cells: WeighedCells) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
-        field, hemispheres = (
-            self.factor.log_determinant - self.ring.log_determinant,
-            len(self.right) - self.shared,
-        )
+        field = self.factor.log_determinant - self.ring.log_determinant
+        hemispheres = len(self.right) - self.shared
         return field + 2.0 * hemispheres * float(np.log(self.amplitude)) - cells.log_weights - cells.n_cells
 
     def log_likelihood(self, cells: WeighedCells) -> float:

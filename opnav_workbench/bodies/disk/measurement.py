@@ -358,16 +358,16 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
     middle = float(np.median(noise[usable]))
     dark, spread = darkest_sky(signal, ~usable, middle)
     if dark < -SUNK_SIGMAS * middle:
-        signal, noise = signal - dark, np.full_like(noise, spread)
-    clipped = _clipped(signal, noise, picture.shot_gain_e_per_dn, usable & ~picture.saturated)
+        signal, noise, middle = signal - dark, np.full_like(noise, spread), spread
+    clipped = _clipped(signal, middle, picture.shot_gain_e_per_dn, usable & ~picture.saturated)
     return replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
 
 
-def _clipped(signal: FloatArray, noise: FloatArray, gain: float, usable: BoolArray) -> BoolArray:
+def _clipped(signal: FloatArray, noise_dn: float, gain: float, usable: BoolArray) -> BoolArray:
     """Return the pixels (n_line, n_pixel) that crowd at the top of the picture, closer than noise would have them."""
-    top = float(signal[usable].max(initial=0.0))
-    sigma = float(np.sqrt(np.median(noise) ** 2 + top / gain))
-    below = np.where(usable, (top - signal) / (CROWD_SIGMAS * sigma), np.inf)
-    clipped = below < 1.0
-    crowd, next_to_it = (np.count_nonzero(here) for here in (clipped, (below >= 1.0) & (below < 2.0)))
+    top = float(np.max(signal, where=usable, initial=0.0))
+    step = CROWD_SIGMAS * float(np.sqrt(noise_dn**2 + top / gain))
+    clipped = usable & (signal > top - step)
+    crowd = np.count_nonzero(clipped)
+    next_to_it = np.count_nonzero(usable & (signal > top - 2.0 * step)) - crowd
     return clipped & (crowd > max(FEWEST_CLIPPED, CROWDED * next_to_it))
