@@ -12,13 +12,13 @@ which suits a body.
 ``subarray``
     The window that a body is looked for in, and which of its pixels count.
 ``place_search``
-    A body's rendered picture correlated with the data over the whole search area.
+    The rendered picture of a small body correlated with the data over its whole search area.
 ``place``
     Where a body stands, before anything is fitted: its silhouette against the sky, then its lit limb.
 ``lighting``
     Where the Sun stands over a body, told by its disk.
 ``detection``
-    Which bodies the picture shows, roughly where, and which of them have to be measured together.
+    Which bodies the picture shows, where and of what figure, and which of them have to be fitted together.
 ``silhouette``
     Outlines of ellipsoids and plate models in the picture.
 ``scales``
@@ -30,7 +30,7 @@ which suits a body.
 ``neighbours``
     Other bodies near one, and the pixels that they light.
 ``residuals``
-    What residuals say of a center: albedo patterns, another size.
+    What residuals say of a center: albedo patterns.
 ``fit_report``
     From such a fit to centers with covariance, flags, status and messages.
 ``cross_correlation``

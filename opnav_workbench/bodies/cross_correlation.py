@@ -1,7 +1,7 @@
 """Center of a body by cross-correlation of its rendered picture with the data.
 
-Flow   search over the whole area (FFT) -> render at the place -> 3 x 3 lags about it -> paraboloid's peak, against that of
-       the model with itself -> render there -> ... until the peak stands still
+Flow   place, disk (`opnav_workbench.bodies.detection`) -> render at the place -> 3 x 3 lags about it -> paraboloid's peak,
+       against that of the model with itself -> render there -> ... until the peak stands still
 
 A paraboloid through 3 x 3 samples is not the correlation's peak: it is off by up to 0.1 px, and by an amount that depends
 on where between the pixels the body lies. The model correlated with itself, with the same weights and the same missing
@@ -11,11 +11,19 @@ Reference: Jackman & Dumont (2013), AAS 13-443, "Cross-Correlation Target Center
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, symmetric
-from opnav_workbench.bodies.detection import DetectedScene, SearchRequest, detect_bodies, fit_pixels
+from opnav_workbench.bodies.detection import (
+    DetectedScene,
+    SearchRequest,
+    detect_bodies,
+    fit_pixels,
+    likelier_figures,
+    start_state,
+)
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
@@ -44,8 +52,9 @@ def find_cross_correlation(
     *,
     circle: Circle | None = None,
     search_radius_px: float | None = None,
+    known_surface: bool = False,
 ) -> BodyCenter:
-    """Find a body's center of figure by correlation with its model over the whole search area.
+    """Find a body's center of figure by correlation with its model.
 
     Bodies that touch it are rendered along, at their likely places; pixels of the others are left out.
 
@@ -53,8 +62,8 @@ def find_cross_correlation(
     ----------
     circle
         Where an analyst sees the body.
-    search_radius_px
-        How far from its prediction (or circle) the body may be; see `find_jointly`.
+    search_radius_px, known_surface
+        As of `find_least_squares`.
 
     Returns
     -------
@@ -69,18 +78,15 @@ def find_cross_correlation(
     """
     picture.model(name)
     circles = {} if circle is None else {name: circle}
-    detected = detect_bodies(
-        picture, (name,), SearchRequest(METHOD, circles, search_radius_px=search_radius_px)
-    )
+    known = (name,) if known_surface else ()
+    detected = detect_bodies(picture, (name,), SearchRequest(METHOD, circles, search_radius_px, known))
     if name in detected.missed:
         return detected.missed[name]
-    cutout = fit_pixels(picture, detected)
+    cutout = fit_pixels(detected)
     if cutout is None or np.count_nonzero(cutout.use) < MIN_PIXELS:
         return BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
-    fit = _iterate(picture, cutout, detected)
-    centers, _ = report_fitted_bodies(
-        picture, cutout, detected, fit, METHOD, np.zeros(len(fit.state.names), bool)
-    )
+    scene, fit = likelier_figures(detected, partial(_iterate, cutout))
+    centers, _ = report_fitted_bodies(cutout, scene, fit, METHOD, np.zeros(len(fit.state.names), bool))
     return centers[name]
 
 
@@ -130,12 +136,10 @@ def _offset(samples: FloatArray) -> FloatArray:
     return np.asarray(paraboloid_peak(samples.reshape(1, 3, 3))[0][0])
 
 
-def _iterate(picture: BodyPicture, cutout: Cutout, detected: DetectedScene) -> SceneFit:
+def _iterate(cutout: Cutout, detected: DetectedScene) -> SceneFit:
     """Render and correlate until the peak stands still; look for hits once it does."""
-    (body,) = detected.found.values()
-    names = (*detected.found, *detected.overlapping)
-    places = np.array([body.place.center_px, *detected.overlapping.values()])
-    state = SceneState(names, places, np.zeros(len(names)), np.ones(len(names)))
+    state = start_state(detected)
+    names = state.names
     hits = np.zeros(cutout.use.shape, dtype=bool)
     slopes = np.empty((0, *cutout.use.shape))
     steps: list[FloatArray] = []
@@ -143,7 +147,7 @@ def _iterate(picture: BodyPicture, cutout: Cutout, detected: DetectedScene) -> S
     for _ in range(MAX_RENDERINGS):
         fresh = not steps or float(np.abs(steps[-1][0]).max()) > FRESH_SLOPES_PX
         light = light_scene(
-            picture, cutout.window, replace(state, scales=np.ones(len(names))), derivatives=fresh
+            detected.picture, cutout.window, replace(state, scales=np.ones(len(names))), derivatives=fresh
         )
         slopes = light.d_center if fresh else slopes
         state, weight = solve_brightness(cutout, state, light.each, hits)

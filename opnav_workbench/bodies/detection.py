@@ -1,254 +1,150 @@
-"""Which bodies a picture shows, and roughly where; what stands against measuring the others.
+"""Which bodies a picture shows, where and of what figure; which of them are fitted together, and to which pixels.
 
-Flow   what is expected of each body -> correlation search, the largest body first, whose shift is expected of the others
-       too -> bodies detected; others that touch them and have to be rendered along; the rest, whose pixels are left out
-
-A body counts as detected where it stands out of its whole search area by more than noise does once in a hundred such
-areas, and where its model explains what is seen there.
+Flow   the largest body first -> its place, its disk (`opnav_workbench.bodies.disk.measurement`) -> its shift against the
+       prediction is expected of the others too -> others that touch what was found, to be rendered along -> groups whose
+       pixels touch -> their pixels
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.sparse.csgraph import connected_components
-from scipy.special import ndtr
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.bodies.disk.fit import FIGURE
+from opnav_workbench.bodies.disk.measurement import (
+    ALIKE_SIGMAS,
+    MeasuredDisk,
+    disk_at,
+    placed_body,
+    sigmas_apart,
+)
+from opnav_workbench.bodies.neighbours import edge_reach, near_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
-from opnav_workbench.bodies.place_search import CorrelationPeak, search_place
+from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
-from opnav_workbench.bodies.subarray import PSF_REACH, RIM_PX, Cutout, choose_subarray, cut_out, search_radius
+from opnav_workbench.bodies.scene_fit import SceneFit, SceneState
+from opnav_workbench.bodies.strained import strained_picture
+from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, outline_radius_px, search_radius
 
 __all__ = [
-    "FALSE_ALARM",
-    "DetectedBody",
     "DetectedScene",
-    "ExpectedBody",
+    "FoundBody",
     "SearchRequest",
     "detect_bodies",
-    "detect_body",
-    "detection_snr",
-    "expect_body",
     "fit_pixels",
     "groups_in_contact",
+    "likelier_figures",
+    "start_state",
 ]
 
 
-# ---- How strong a body must stand out of the noise to be one.
+# ---- A body that is there.
 
-FALSE_ALARM = 0.01  # one search area in a hundred may hold noise that looks like a body
-
-
-def detection_snr(search_radius_px: float, sigma_px: float) -> float:
-    """Return the SNR that noise alone exceeds, somewhere in a circular search area, with `FALSE_ALARM`.
-
-    The expected Euler characteristic of a Gaussian random field above a level; white noise filtered with a
-    Gaussian of `sigma_px` has gradients of variance 1 / (2 sigma^2).
-
-    Reference: Adler (1981), The Geometry of Random Fields; Worsley (1996), doi:10.2307/1427576.
-
-    Examples
-    --------
-    >>> [round(detection_snr(radius, 0.7), 1) for radius in (3.0, 30.0)]
-    [3.7, 4.8]
-    """
-    radius = search_radius_px / (np.sqrt(2.0) * sigma_px)
-
-    def surplus(level: float) -> float:
-        density = np.exp(-0.5 * level**2)
-        area = np.pi * radius**2 * level * density / (2.0 * np.pi) ** 1.5
-        rim = np.pi * radius * density / (2.0 * np.pi)
-        return float(area + rim + ndtr(-level) - FALSE_ALARM)
-
-    return float(brentq(surplus, 1.0, 10.0))
-
-
-# ---- What is expected of a body before it is measured, and what already stands against measuring it.
-
-MIN_EXPLAINED = (
-    0.3  # share of what is under the model that it must explain: a star in a disk's place gives a few percent
-)
 SATURATED_SHARE = 0.9  # of the bright part of a body: what is left shows no edge
 BRIGHT_SHARE = 0.3  # of the peak: pixels that count as the body
-MIN_USABLE = 0.02
-WELL_EXPLAINED = (
-    0.9  # a model of the right size and an albedo pattern of Pluto's contrast reach this, roughly located
-)
-OTHER_SIZES = (0.6, 0.7, 0.85, 1.18, 1.4, 1.65)  # tried where the model explains less
-MUCH_BETTER = 0.6  # of what was left unexplained, that another size may leave
-MIN_SIZED_RADIUS_PX = 3.0  # smaller images tell their brightness, not their size
-FAR_SIZES = 10.0  # detectors
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExpectedBody:
-    """Where and how large a body is expected.
+@dataclass(frozen=True, slots=True)
+class SearchRequest:
+    """How bodies are looked for.
 
     Attributes
     ----------
-    center_px : (2,) array
-    radius_px
-        Of the circle that holds its predicted outline.
-    range_scale
-        Range over the a priori one that gives it the size of an analyst's circle; 1 without circle.
-    circle_ratio
-        An analyst's radius over the predicted one; nan without.
+    known_surfaces
+        Bodies whose model is truer than the likelihood of their disk.
+    """
+
+    method: str
+    circles: Mapping[str, Circle] = field(default_factory=dict)
+    search_radius_px: float | None = None
+    known_surfaces: Collection[str] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundBody:
+    """Where a body stands, and of what figure.
+
+    Attributes
+    ----------
+    circle, search_px
+        Where it was looked for; None: at its predicted place, anywhere.
+    disk
+        The likelihood of its disk; in its stead why there is none, or None for a known surface.
+    of_disk
+        Whether it is rendered with size and axes of its disk, instead of its model's.
     """
 
     name: str
-    center_px: FloatArray
-    radius_px: float
-    search_px: float
-    range_scale: float
-    circle_ratio: float
+    circle: Circle | None
+    search_px: float | None
+    place: BodyPlace
+    disk: MeasuredDisk | BodyCenter | None
+    of_disk: bool = False
 
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
+    @property
+    def measured(self) -> MeasuredDisk | None:
+        """Its disk, where that could be measured."""
+        return self.disk if isinstance(self.disk, MeasuredDisk) else None
 
+    @property
+    def center_px(self) -> FloatArray:
+        """Its center (2,), as far as is known before its light is fitted."""
+        return self.place.center_px if self.measured is None else self.measured.fit.center_px
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DetectedBody:
-    """A body that is there, roughly located.
+    @property
+    def is_another(self) -> bool:
+        """Whether its disk speaks against size or axes of the model."""
+        if self.measured is None:
+            return False
+        fit = self.measured.fit
+        covariance = fit.excess * fit.solution.covariance[np.ix_(FIGURE, FIGURE)]
+        beyond = np.array([fit.shape.log_size, *fit.shape.strain[:2]])
+        return sigmas_apart(beyond, covariance) > ALIKE_SIGMAS
 
-    Attributes
-    ----------
-    size_ratio
-        Size of its image over the expected one, as far as the search tells: 1 unless another fits much better.
-    sized_place
-        Its place with that size.
-    """
-
-    expectation: ExpectedBody
-    place: CorrelationPeak
-    size_ratio: float
-    sized_place: CorrelationPeak
-
-
-def outline_radius_px(picture: BodyPicture, name: str) -> float:
-    """Return the radius of the circle that holds a body's predicted outline, px."""
-    prediction = picture.prediction(name)
-    limb = prediction.limb_px - prediction.pixel_line
-    return float(np.hypot(*limb.T).max()) if len(limb) and np.isfinite(limb).all() else 0.0
-
-
-def expect_body(
-    picture: BodyPicture, name: str, method: str, circle: Circle | None, search_radius_px: float | None
-) -> ExpectedBody | BodyCenter:
-    """Return what is expected of a body, or why it cannot be measured."""
-    prediction, radius = picture.prediction(name), outline_radius_px(picture, name)
-    center = prediction.pixel_line if circle is None else circle.center_px
-    n_pixel, n_line = picture.camera.n_pixel, picture.camera.n_line
-    if not np.isfinite(center).all():
-        return BodyCenter.without_center(name, method, "off_detector", "it is not in front of the camera")
-    search = search_radius(radius, circle, search_radius_px)
-    reach = radius + search
-    outside = np.maximum(np.maximum(-0.5 - center, center - np.array([n_pixel, n_line]) + 0.5), 0.0)
-    if np.hypot(*outside) > reach:
-        where = f"expected at pixel {center[0]:.1f}, line {center[1]:.1f}"
-        if np.abs(center).max() > FAR_SIZES * max(n_pixel, n_line):
-            where = "expected far outside the field"
-        message = f"{where}, {np.hypot(*outside):.0f} px off the {n_pixel} x {n_line} detector"
-        return BodyCenter.without_center(name, method, "off_detector", message)
-    ratio = circle.radius_px / radius if circle is not None and radius > 0.0 else np.nan
-    return ExpectedBody(name, center, radius, search, 1.0 if np.isnan(ratio) else 1.0 / ratio, ratio)
+    @property
+    def seen_log_size(self) -> tuple[float, float]:
+        """Logarithm of the size of its image over the model's, and its sigma."""
+        if self.measured is None:
+            return float(np.log(self.place.seen_ratio)), self.place.seen_sigma
+        return self.measured.log_size
 
 
-def detect_body(
-    picture: BodyPicture,
-    expected: ExpectedBody,
-    method: str,
-    *,
-    solve_range: bool = False,
-    subtract_dn: FloatArray | None = None,
-    other_sizes: bool = True,
-) -> DetectedBody | BodyCenter:
-    """Search for a body, or say why it is not seen; also with other sizes where its own explains little."""
-    scale = expected.range_scale if solve_range else 1.0
-    place = _searched(picture, expected, scale, subtract_dn)
-    name, search = expected.name, expected.search_px
-    if not np.isfinite(place.center_px).all() or place.usable < MIN_USABLE:
-        message = f"no usable pixels within {search:.1f} px of its expected place"
-        return BodyCenter.without_center(name, method, "failed", message, flags=int(BodyFlag.EMPTY))
-    share = _saturated_share(picture, expected, place)
+def _found_body(
+    picture: BodyPicture, name: str, circle: Circle | None, search_px: float | None, search: SearchRequest
+) -> tuple[BodyPicture, FoundBody] | BodyCenter:
+    """Find a body and measure its disk, or say why it is not seen; the picture has its sky made sure of."""
+    placed = placed_body(picture, name, search.method, circle, search_px)
+    if isinstance(placed, BodyCenter):
+        return placed
+    picture, place = placed
+    share = _saturated_share(picture, name, place)
     if share > SATURATED_SHARE:
         message = f"{100 * share:.0f} % of it is saturated; take a shorter exposure"
-        return BodyCenter.without_center(name, method, "saturated", message, flags=int(BodyFlag.OVEREXPOSED))
-    ratio, sized = 1.0, place
-    if other_sizes:
-        ratio, sized = _other_size(picture, expected, scale, place, subtract_dn)
-    needed = detection_snr(search, max(float(np.max(picture.psf.sigma_px)), 0.5 * expected.radius_px))
-    if sized.snr < needed or sized.explained < MIN_EXPLAINED:
-        seen = f"SNR {place.snr:.1f}, {needed:.1f} needed"
-        if place.snr >= needed:
-            seen = (
-                f"what is there is not like it: the model explains {100 * place.explained:.0f} % of the light"
-            )
-        message = f"nothing found within {search:.1f} px of its expected place ({seen})"
-        return BodyCenter.without_center(name, method, "not_detected", message)
-    return DetectedBody(expected, place, ratio / scale, sized)
+        return BodyCenter.without_center(
+            name, search.method, "saturated", message, flags=int(BodyFlag.OVEREXPOSED)
+        )
+    if name in search.known_surfaces:
+        return picture, FoundBody(name, circle, search_px, place, None)
+    disk = disk_at(picture, place, name, search.method, circle, search_px)
+    return picture, FoundBody(name, circle, search_px, place, disk)
 
 
-def _searched(
-    picture: BodyPicture, expected: ExpectedBody, range_scale: float, subtract_dn: FloatArray | None
-) -> CorrelationPeak:
-    return search_place(
-        picture,
-        expected.name,
-        expected.center_px,
-        expected.radius_px / range_scale,
-        expected.search_px,
-        range_scale=range_scale,
-        subtract_dn=subtract_dn,
-    )
-
-
-def _other_size(
-    picture: BodyPicture,
-    expected: ExpectedBody,
-    range_scale: float,
-    place: CorrelationPeak,
-    subtract_dn: FloatArray | None,
-) -> tuple[float, CorrelationPeak]:
-    """Return the size, over that of the search, with which the model explains much more, and the place found with it."""
-    best = 1.0, place
-    if place.explained > WELL_EXPLAINED or expected.radius_px < MIN_SIZED_RADIUS_PX:
-        return best
-    for ratio in OTHER_SIZES:
-        other = _searched(picture, expected, range_scale / ratio, subtract_dn)
-        if other.explained > best[1].explained and other.snr > 0.9 * best[1].snr:
-            best = ratio, other
-    left = 1.0 - place.explained
-    return best if 1.0 - best[1].explained < MUCH_BETTER * left else (1.0, place)
-
-
-def _saturated_share(picture: BodyPicture, expected: ExpectedBody, place: CorrelationPeak) -> float:
-    """Return the share of a body's disk that is saturated: lit or not, as a model's scale is not known."""
-    if not picture.saturated.any():
-        return 0.0
-    circle = Circle(place.center_px, max(expected.radius_px, 1.0))
-    part = choose_subarray(picture, expected.name, circle)
+def _saturated_share(picture: BodyPicture, name: str, place: BodyPlace) -> float:
+    """Return the share of a body's bright part that is saturated."""
+    radius = outline_radius_px(picture, name) * place.size_ratio
+    part = choose_subarray(picture, name, Circle(place.center_px, radius))
     if part.empty or not picture.saturated[part.slices].any():
         return 0.0
-    light = model_picture(picture, part.window, {expected.name: place.center_px}, only=(expected.name,))
+    light = model_picture(
+        picture, part.window, {name: place.center_px}, range_scale=1.0 / place.size_ratio, only=(name,)
+    )
     bright = light > BRIGHT_SHARE * light.max()
     return float(picture.saturated[part.slices][bright].mean()) if bright.any() else 0.0
 
 
 # ---- Several bodies in one picture.
-
-NEIGHBOUR_ERROR_PX = 2.0  # of a neighbour's place, once the picture's common shift is known
-
-
-@dataclass(frozen=True, slots=True)
-class SearchRequest:
-    """How bodies are to be searched."""
-
-    method: str
-    circles: Mapping[str, Circle]
-    solve_range: bool = False
-    search_radius_px: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,6 +153,8 @@ class DetectedScene:
 
     Attributes
     ----------
+    picture
+        With its sky made sure of, and bodies strained that are rendered as their disks are.
     missed
         Those without a center, and why.
     overlapping : mapping of str to (2,) array
@@ -265,85 +163,94 @@ class DetectedScene:
         Others in the scene, at their likely places.
     """
 
-    found: Mapping[str, DetectedBody]
+    picture: BodyPicture
+    found: Mapping[str, FoundBody]
     missed: Mapping[str, BodyCenter]
     overlapping: Mapping[str, FloatArray]
     apart: Mapping[str, FloatArray]
 
+    def as_seen(self) -> "DetectedScene":
+        """Return the scene with bodies of the figures that their disks have, where these are not their models'."""
+        picture, found = self.picture, dict(self.found)
+        for name, body in self.found.items():
+            if body.measured is not None and body.is_another:
+                picture = strained_picture(picture, name, body.measured.fit.shape.strain)
+                found[name] = replace(body, of_disk=True)
+        return replace(self, picture=picture, found=found)
+
+
+def likelier_figures(
+    detected: DetectedScene, fit: Callable[[DetectedScene], SceneFit]
+) -> tuple[DetectedScene, SceneFit]:
+    """Return a scene and its fit: bodies of their models' figures, or of their disks', whichever the pixels rather have.
+
+    A disk of few pixels may be told another figure by its albedo alone; all of its light is not.
+    """
+    seen, pairs = detected.as_seen(), [(detected, fit(detected))]
+    if any(body.of_disk for body in seen.found.values()):
+        pairs.append((seen, fit(seen)))
+    return min(pairs, key=lambda pair: pair[1].chi2 / pair[1].degrees_of_freedom)
+
 
 def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequest) -> DetectedScene:
     """Find bodies, the largest first: its shift against the prediction is expected of the others too."""
-    expected: dict[str, ExpectedBody] = {}
+    found: dict[str, FoundBody] = {}
     missed: dict[str, BodyCenter] = {}
-    for name in names:
-        answer = expect_body(picture, name, search.method, search.circles.get(name), search.search_radius_px)
-        if isinstance(answer, BodyCenter):
-            missed[name] = answer
-        else:
-            expected[name] = answer
-    found: dict[str, DetectedBody] = {}
-    shift, light = np.zeros(2), None
-    for name in sorted(expected, key=lambda name: -expected[name].radius_px):
-        expectation = expected[name]
-        if found and name not in search.circles:
-            expectation = replace(expectation, center_px=expectation.center_px + shift)
-        result = detect_body(
-            picture, expectation, search.method, solve_range=search.solve_range, subtract_dn=light
-        )
+    seen, shift = picture, None
+    for name in sorted(names, key=lambda name: -outline_radius_px(picture, name)):
+        result = _found_body(picture, name, *_expected(picture, name, search, shift), search)
         if isinstance(result, BodyCenter):
             missed[name] = result
             continue
-        if not found:
-            shift = result.place.center_px - picture.center_px(name)
-        found[name] = result
-        if len(expected) > 1:
-            light = _with_light(light, picture, result)
-    others = {
-        model.target.name: picture.center_px(model.target.name) + shift
-        for model in picture.models
-        if model.target.name not in names
+        seen, found[name] = result
+        if shift is None:
+            shift = found[name].center_px - picture.center_px(name)
+    touching = {
+        name: place
+        for body in found.values()
+        for name, place in near_bodies(picture, body.name, body.center_px).items()
+        if name not in names
     }
-    touching = _in_contact(picture, found, others)
-    return DetectedScene(
-        found,
-        missed,
-        {name: place for name, place in others.items() if name in touching},
-        {name: place for name, place in others.items() if name not in touching},
+    common = np.zeros(2) if shift is None else shift
+    apart = {
+        name: picture.center_px(name) + common
+        for name in (model.target.name for model in picture.models)
+        if name not in names and name not in touching
+    }
+    return DetectedScene(seen, found, missed, touching, apart)
+
+
+def _expected(
+    picture: BodyPicture, name: str, search: SearchRequest, shift: FloatArray | None
+) -> tuple[Circle | None, float | None]:
+    """Return where a body is expected, and how far from there it is looked for."""
+    circle, center, radius = (
+        search.circles.get(name),
+        picture.center_px(name),
+        0.5 * picture.diameter_px(name),
+    )
+    if circle is not None or shift is None or not (radius > 0.0 and np.isfinite(center).all()):
+        return circle, search.search_radius_px
+    return Circle(center + shift, radius), search_radius(radius, None, search.search_radius_px)
+
+
+def start_state(detected: DetectedScene, *, solve_range: bool = False) -> SceneState:
+    """Return the scene that a fit begins from: places as they were found, sizes where they are not the models'."""
+    found = detected.found.values()
+    n = len(detected.overlapping)
+    sizes = [body.seen_log_size[0] if body.of_disk or solve_range else 0.0 for body in found]
+    return SceneState(
+        (*detected.found, *detected.overlapping),
+        np.array([*(body.center_px for body in found), *detected.overlapping.values()]),
+        -np.array([*sizes, *[0.0] * n]),
+        np.ones(len(detected.found) + n),
     )
 
 
-def _with_light(light: FloatArray | None, picture: BodyPicture, body: DetectedBody) -> FloatArray:
-    """Return light (n_line, n_pixel) with that of one more body, at its place and as bright as it was found."""
-    window = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-    name = body.expectation.name
-    own = body.place.scale * model_picture(picture, window, {name: body.place.center_px}, only=(name,))
-    return own if light is None else light + own
-
-
-def _psf_reach_px(picture: BodyPicture) -> float:
-    return PSF_REACH * float(np.max(picture.psf.sigma_px))
-
-
-def _in_contact(
-    picture: BodyPicture, found: Mapping[str, DetectedBody], others: Mapping[str, FloatArray]
-) -> set[str]:
-    """Return which of the others hide a body that was found, or mix their light with it."""
-    touching = set()
-    for name, place in others.items():
-        for body in found.values():
-            apart = float(np.hypot(*(place - body.place.center_px)))
-            reach = (
-                outline_radius_px(picture, name) + body.expectation.radius_px + 2.0 * _psf_reach_px(picture)
-            )
-            if apart < reach + NEIGHBOUR_ERROR_PX:
-                touching.add(name)
-    return touching
-
-
-def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
+def fit_pixels(detected: DetectedScene) -> Cutout | None:
     """Return the pixels about the bodies that are fitted together, without those of other bodies; None: there are none."""
-    spread = _psf_reach_px(picture)
-    circles = list(_fit_circles(picture, detected).values())
+    picture = detected.picture
+    circles = list(_fit_circles(detected).values())
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     low = np.stack([center - reach for center, reach in circles]).min(axis=0)
     high = np.stack([center + reach for center, reach in circles]).max(axis=0)
@@ -364,15 +271,18 @@ def fit_pixels(picture: BodyPicture, detected: DetectedScene) -> Cutout | None:
         use |= near(center, reach, square=True)
     for name, place in detected.apart.items():
         if np.isfinite(place).all():
-            use &= ~near(place, outline_radius_px(picture, name) + spread + NEIGHBOUR_ERROR_PX, square=False)
+            use &= ~near(place, outline_radius_px(picture, name) + edge_reach(picture), square=False)
     return replace(cutout, use=cutout.use & use)
 
 
-def _fit_circles(picture: BodyPicture, detected: DetectedScene) -> dict[str, tuple[FloatArray, float]]:
+def _fit_circles(detected: DetectedScene) -> dict[str, tuple[FloatArray, float]]:
     """Return center (2,) and reach, px, of what is fitted of each body."""
-    about = _psf_reach_px(picture) + RIM_PX
+    picture, about = detected.picture, edge_reach(detected.picture)
     circles = {
-        name: (body.place.center_px, _measured_radius_px(body) + about)
+        name: (
+            body.center_px,
+            outline_radius_px(picture, name) * max(np.exp(body.seen_log_size[0]), 1.0) + about,
+        )
         for name, body in detected.found.items()
     }
     for name, place in detected.overlapping.items():
@@ -380,12 +290,12 @@ def _fit_circles(picture: BodyPicture, detected: DetectedScene) -> dict[str, tup
     return circles
 
 
-def groups_in_contact(picture: BodyPicture, detected: DetectedScene) -> list[DetectedScene]:
+def groups_in_contact(detected: DetectedScene) -> list[DetectedScene]:
     """Return a scene for each group of bodies whose pixels touch, with the others apart from it.
 
     What does not share a pixel shares nothing: a joint fit of all would cost the square of their number, or more.
     """
-    circles = _fit_circles(picture, detected)
+    circles = _fit_circles(detected)
     places = np.reshape([center for center, _ in circles.values()], (-1, 2))
     reach = np.array([far for _, far in circles.values()])
     apart = np.abs(places[:, None] - places).max(axis=2)
@@ -396,6 +306,7 @@ def groups_in_contact(picture: BodyPicture, detected: DetectedScene) -> list[Det
         own = {name for name, k in zip(names, group, strict=True) if k == index}
         others = {name: center for name, (center, _) in circles.items() if name not in own}
         return DetectedScene(
+            detected.picture,
             {name: body for name, body in detected.found.items() if name in own},
             {},
             {name: place for name, place in detected.overlapping.items() if name in own},
@@ -403,9 +314,3 @@ def groups_in_contact(picture: BodyPicture, detected: DetectedScene) -> list[Det
         )
 
     return [members(index) for index in range(count)]
-
-
-def _measured_radius_px(body: DetectedBody) -> float:
-    """Return how far from its center a body may reach: an analyst's circle or its image may be the larger."""
-    ratio = body.expectation.circle_ratio
-    return body.expectation.radius_px * max(ratio if np.isfinite(ratio) else 1.0, body.size_ratio, 1.0)

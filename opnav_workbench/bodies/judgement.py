@@ -5,15 +5,15 @@ Flow   measured disk, center, a second reading of the same pixels -> flags -> st
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies.disk.fit import CENTER, Unknown
 from opnav_workbench.bodies.disk.measurement import (
     MeasuredDisk,
     crossing_covariance,
-    measure_disk,
     same_center,
     sigmas_apart,
 )
@@ -27,7 +27,7 @@ from opnav_workbench.bodies.results import (
     flag_messages,
     flags_where,
 )
-from opnav_workbench.bodies.subarray import choose_subarray, search_radius
+from opnav_workbench.bodies.subarray import choose_subarray, search_limit
 
 __all__ = [
     "POOR_CHI2",
@@ -36,9 +36,12 @@ __all__ = [
     "crossing_reading",
     "difference_covariance",
     "disk_reading",
-    "is_thin_crescent",
+    "is_other_size",
     "judged_center",
+    "lost_pixels",
     "second_reading",
+    "size_words",
+    "standing_flags",
 ]
 
 DIFFERENCE_SHARE = 0.5
@@ -120,37 +123,43 @@ def difference_covariance(away_px: FloatArray) -> FloatArray:
     return np.asarray(DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
 
 
-def confirmed_center(
-    picture: BodyPicture,
-    center: BodyCenter,
-    *,
-    circle: Circle | None = None,
-    search_radius_px: float | None = None,
-) -> BodyCenter:
-    """Return a center by the light of the whole disk beside the likelihood's.
+def confirmed_center(center: BodyCenter, disk: BodyCenter) -> BodyCenter:
+    """Return a center by the light of the whole disk, or of its limb, beside that of the disk's likelihood.
 
-    A fit of the model's light knows neither of another size nor of another law or albedo: how far it lies from a reading
-    that does is in its covariance, and in its status where that is too far. Bodies without a likelihood stay as they are.
+    The center stays, its covariance holds half of the difference. It is unconfirmed where the difference is too far, or
+    the likelihood has no center or one that is doubtful itself.
+
+    Parameters
+    ----------
+    disk
+        As `find_disk` has found it in the same picture.
     """
-    if center.pixel_line is None or picture.model(center.name).is_point:
+    if center.pixel_line is None:
         return center
-    disk = measure_disk(picture, center.name, center.method, circle, search_radius_px)
-    if isinstance(disk, BodyCenter):
-        return center
-    first, fit = center.pixel_line, disk.fit
+    if disk.pixel_line is None:
+        return _unconfirmed(center, f"there is no likelihood of its disk: {'; '.join(disk.messages)}")
+    first = center.pixel_line
     second = second_reading(
-        "the likelihood of the disk", fit.center_px, fit.covariance_px2, first, center.covariance_px2
+        "the likelihood of the disk", disk.pixel_line, disk.covariance_px2, first, center.covariance_px2
     )
-    covariance = symmetric(center.covariance_px2 + difference_covariance(second.pixel_line - first))
+    away = second.pixel_line - first
+    covariance = symmetric(center.covariance_px2 + difference_covariance(away))
     told = replace(center, second=second, covariance_px2=covariance)
-    if same_center(second.pixel_line - first, second.difference_sigmas):
-        return told
-    notes = {BodyFlag.UNCONFIRMED: _apart(second, first)}
+    if not same_center(away, second.difference_sigmas):
+        return _unconfirmed(told, _apart(second, first))
+    doubts = flag_messages(BodyFlag(disk.flags & ~center.flags) & DOUBTFUL_FLAGS, {})
+    return _unconfirmed(told, f"{second.method} agrees, but: {'; '.join(doubts)}") if doubts else told
+
+
+def _unconfirmed(center: BodyCenter, why: str) -> BodyCenter:
     return replace(
-        told,
+        center,
         status="uncertain" if center.status == "ok" else center.status,
         flags=int(center.flags | BodyFlag.UNCONFIRMED),
-        messages=(*center.messages, *flag_messages(BodyFlag.UNCONFIRMED, notes)),
+        messages=(
+            *center.messages,
+            *flag_messages(BodyFlag.UNCONFIRMED, {BodyFlag.UNCONFIRMED: why}),
+        ),
     )
 
 
@@ -163,14 +172,12 @@ def disk_reading(disk: MeasuredDisk, method: str, second: SecondReading | None) 
     """Return the likelihood's own center."""
     fit = disk.fit
     noise = fit.system.noise_covariance(fit.prior)[np.ix_(CENTER, CENTER)]
-    log_size, sigma = fit.shape.log_size, fit.sigma(Unknown.SIZE)
     return CenterReading(
         method,
         fit.center_px,
         fit.covariance_px2,
         noise,
-        log_size,
-        sigma,
+        *disk.log_size,
         fit.chi2_reduced,
         fit.converged,
         second,
@@ -220,50 +227,82 @@ def _with_range(center: BodyCenter, disk: MeasuredDisk, reading: CenterReading) 
 def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
     picture, fit = disk.picture, disk.fit
     outline = fit.outline.points(fit.outline.angle_rad)
-    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
-    sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(reading.covariance_px2), 0.0))
-    limit = (
-        disk.search_px if disk.circle is None else search_radius(disk.radius_px, disk.circle, disk.search_px)
-    )
+    extent = outline.min(axis=0), outline.max(axis=0)
     away = float(np.hypot(*(reading.center_px - disk.expected_px)))
-    size_sigma = float(np.hypot(fit.figure.size_sigma, reading.log_size_sigma))
+    limit = search_limit(disk.radius_px, disk.circle, disk.search_px)
+    lit = fit.light_dn() > BRIGHT_SHARE * max(fit.brightness_dn, 0.0)
+    here = fit.pixels.index
     conditions = {
-        BodyFlag.CUT_BY_EDGE: bool(np.any(outline < -0.5) or np.any(outline > size - 0.5)),
-        BodyFlag.THIN_CRESCENT: is_thin_crescent(picture, disk.name, disk.radius_px),
-        BodyFlag.CIRCLE_MISFIT: abs(reading.log_size) > MISFIT_SIGMAS * size_sigma,
+        BodyFlag.CIRCLE_MISFIT: is_other_size(
+            reading.log_size, reading.log_size_sigma, fit.figure.size_sigma
+        ),
         BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2,
         BodyFlag.AT_LIMIT: limit is not None and away > limit + 1.0,
-        BodyFlag.WEAK_GEOMETRY: not sigma[1] < max(WEAK_PX, WEAK_SHARE * disk.radius_px),
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
         BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(reading)),
         BodyFlag.UNCONFIRMED: not _confirmed(reading),
     }
-    return flags_where({**conditions, **_lost_pixels(disk), **reading.conditions})
+    standing = standing_flags(picture, disk.name, extent, disk.radius_px, reading.covariance_px2)
+    lost = lost_pixels(picture, here, lit, disk.pixels.use[here], disk.hits[here])
+    return flags_where({**conditions, **standing, **lost, **reading.conditions})
 
 
-def is_thin_crescent(picture: BodyPicture, name: str, radius_px: float) -> bool:
-    """Tell whether the lit crescent is less than a pixel wide."""
-    phase = picture.phase_rad(name)
-    if not phase > THIN_PHASE_RAD:
-        return False
-    return bool(radius_px * (1.0 + np.cos(phase)) < THIN_PX)
+def is_other_size(log_size: float, sigma: float, allowed: float) -> bool:
+    """Tell whether an image has not the size of its model, beyond what is allowed that and its measurement (1 sigma each)."""
+    return abs(log_size) > MISFIT_SIGMAS * float(np.hypot(allowed, sigma))
 
 
-def _lost_pixels(disk: MeasuredDisk) -> dict[BodyFlag, bool]:
-    """Tell why pixels that the body lights were left out."""
-    picture, fit = disk.picture, disk.fit
-    here = fit.pixels.index
-    lit = fit.light_dn() > BRIGHT_SHARE * max(fit.brightness_dn, 0.0)
-    saturated, hit = lit & picture.saturated[here], lit & disk.hits[here]
-    unsound = picture.bad[here] | ~np.isfinite(picture.signal_dn[here])
-    bad = lit & ~disk.pixels.use[here] & unsound & ~saturated
-    others = lit & ~disk.pixels.use[here] & ~(saturated | hit | bad)
+def size_words(log_size: float) -> str:
+    """Return by how much a size differs from its model's, and what to do."""
+    share = 100.0 * float(np.expm1(log_size))
+    word = "larger" if share > 0.0 else "smaller"
+    return f"it is {abs(share):.0f} % {word}: check its radii, its range, or the circle"
+
+
+def standing_flags(
+    picture: BodyPicture,
+    name: str,
+    extent_px: tuple[FloatArray, FloatArray],
+    radius_px: float,
+    covariance_px2: FloatArray,
+) -> dict[BodyFlag, bool]:
+    """Tell what is against a center by where the body stands in the picture, and how it is lit there.
+
+    Parameters
+    ----------
+    extent_px : (2,) array, (2,) array
+        Lowest and highest (pixel, line) that its outline reaches.
+    """
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance_px2), 0.0))
     return {
-        BodyFlag.OVEREXPOSED: bool(saturated.any()),
-        BodyFlag.OCCULTED: bool(others.any()),
-        BodyFlag.BAD_PIXELS: bool(bad.any()),
-        BodyFlag.HIT: bool(hit.any()),
+        BodyFlag.CUT_BY_EDGE: bool(np.any(extent_px[0] < -0.5) or np.any(extent_px[1] > size - 0.5)),
+        BodyFlag.THIN_CRESCENT: _is_thin_crescent(picture, name, radius_px),
+        BodyFlag.WEAK_GEOMETRY: not sigma[1] < max(WEAK_PX, WEAK_SHARE * radius_px),
     }
+
+
+def _is_thin_crescent(picture: BodyPicture, name: str, radius_px: float) -> bool:
+    phase = picture.phase_rad(name)
+    return bool(phase > THIN_PHASE_RAD and radius_px * (1.0 + np.cos(phase)) < THIN_PX)
+
+
+def lost_pixels(
+    picture: BodyPicture, index: Any, lit: BoolArray, use: BoolArray, hits: BoolArray
+) -> dict[BodyFlag, int]:
+    """Return how many of the pixels that a body lights were left out, by why.
+
+    Parameters
+    ----------
+    index
+        Of the picture's planes: the pixels that the arrays are of.
+    """
+    saturated, hit = lit & picture.saturated[index], lit & hits
+    unsound = picture.bad[index] | ~np.isfinite(picture.signal_dn[index])
+    bad = lit & ~use & unsound & ~saturated
+    others = lit & ~use & ~(saturated | hit | bad)
+    flags = BodyFlag.OVEREXPOSED, BodyFlag.OCCULTED, BodyFlag.BAD_PIXELS, BodyFlag.HIT
+    return dict(zip(flags, (int(np.count_nonzero(n)) for n in (saturated, others, bad, hit)), strict=True))
 
 
 def _confirmed(reading: CenterReading) -> bool:
@@ -278,9 +317,8 @@ def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
     apart = "no second reading: too little of its limb can be crossed"
     if second is not None:
         apart = _apart(second, reading.center_px)
-    ratio = 100.0 * (np.exp(reading.log_size) - 1.0)
     return {
-        BodyFlag.CIRCLE_MISFIT: f"{ratio:+.0f} %: check its radii, its range, or the circle",
+        BodyFlag.CIRCLE_MISFIT: size_words(reading.log_size),
         BodyFlag.UNCONFIRMED: apart,
         BodyFlag.EMPTY: f"{100.0 * disk.fit.lit_share:.0f} % of its limb is lit and in sight",
         BodyFlag.OVEREXPOSED: "take a shorter exposure",

@@ -1,7 +1,7 @@
 """Centers of one or several bodies in a picture by non-linear least squares of their rendered light to the data.
 
-Flow   search (correlation) -> groups that share pixels -> one fit of each group, their brightness and a level -> patterns ->
-       `JointCenters`
+Flow   places, disks (`opnav_workbench.bodies.detection`) -> groups that share pixels -> one fit of each group, their
+       brightness and a level -> patterns, the disks' likelihoods beside -> `JointCenters`
 
 The bodies are rendered together, so that they hide and shade each other as their places demand. What ties their errors
 to each other is in the normal matrix: light that overlaps, an edge that one cuts into the other, the level under both.
@@ -9,7 +9,7 @@ to each other is in the normal matrix: light that overlaps, an edge that one cut
 Reference: Jackman & Dumont (2013), AAS 13-443, "Non-linear Least Squares Target Centerfinding".
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -21,11 +21,13 @@ from opnav_workbench.bodies.detection import (
     detect_bodies,
     fit_pixels,
     groups_in_contact,
+    likelier_figures,
+    start_state,
 )
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
-from opnav_workbench.bodies.scene_fit import SceneState, fit_scene
+from opnav_workbench.bodies.scene_fit import SceneFit, fit_scene
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.threads import one_thread
 
@@ -47,8 +49,11 @@ def find_jointly(
     circles: Mapping[str, Circle] | None = None,
     solve_range: bool = False,
     search_radius_px: float | None = None,
+    known_surfaces: Collection[str] = (),
 ) -> JointCenters:
     """Find the centers of several bodies of one picture together.
+
+    The largest is looked for first; the others are expected as far beside their predictions as it is.
 
     Parameters
     ----------
@@ -57,13 +62,17 @@ def find_jointly(
     solve_range
         Solve for the range of each from the size of its image.
     search_radius_px
-        How far from their predictions (or circles) the bodies may be; by default 1.2 radii, at least 12 px, of an
-        analyst's circle half its radius.
+        How far from their predictions (or circles) the bodies may be; by default the largest anywhere, the others 1.2
+        radii beside its shift, at least 12 px; half the radius of an analyst's circle.
+    known_surfaces
+        Bodies whose model is truer than the likelihood of their disk, which knows no map of an albedo: their centers
+        stand for themselves.
 
     Returns
     -------
     JointCenters
-        In the order of `names`; bodies that were not found have a status and no center.
+        In the order of `names`, each as `find_least_squares` has it; bodies that were not found have a status and no
+        center.
 
     Raises
     ------
@@ -71,14 +80,11 @@ def find_jointly(
         No names, a name twice, or one that is not in the scene.
     """
     _check(picture, names)
-    search = SearchRequest(METHOD, circles or {}, solve_range, search_radius_px)
+    search = SearchRequest(METHOD, circles or {}, search_radius_px, known_surfaces)
     detected = detect_bodies(picture, names, search)
     if not detected.found:
         return _collected(names, detected.missed, [])
-    groups = [
-        _fitted_group(picture, group, solve_range=solve_range)
-        for group in groups_in_contact(picture, detected)
-    ]
+    groups = [_fitted_group(group, solve_range=solve_range) for group in groups_in_contact(detected)]
     return _collected(names, detected.missed, groups)
 
 
@@ -89,16 +95,20 @@ class _Group(NamedTuple):
     covariance: FloatArray
 
 
-def _fitted_group(picture: BodyPicture, detected: DetectedScene, *, solve_range: bool) -> _Group:
-    cutout = fit_pixels(picture, detected)
+def _fitted_group(detected: DetectedScene, *, solve_range: bool) -> _Group:
+    cutout = fit_pixels(detected)
     fitted = (*detected.found, *detected.overlapping)
     enough = MIN_PIXELS_PER_PARAMETER * (4 * len(fitted) + 1)
     if cutout is None or np.count_nonzero(cutout.use) < enough:
         size = 2 * len(detected.found)
         return _Group(_empty(detected), np.full((size, size), np.nan))
     wanted = np.array([solve_range and name in detected.found for name in fitted])
-    fit = fit_scene(picture, cutout, _start(detected, solve_range=solve_range), solve_range=wanted)
-    return _Group(*report_fitted_bodies(picture, cutout, detected, fit, METHOD, wanted))
+
+    def fit(scene: DetectedScene) -> SceneFit:
+        start = start_state(scene, solve_range=solve_range)
+        return fit_scene(scene.picture, cutout, start, solve_range=wanted)
+
+    return _Group(*report_fitted_bodies(cutout, *likelier_figures(detected, fit), METHOD, wanted))
 
 
 def _check(picture: BodyPicture, names: Sequence[str]) -> None:
@@ -106,16 +116,6 @@ def _check(picture: BodyPicture, names: Sequence[str]) -> None:
         raise CenterfindingError(f"names of bodies are {names!r}; give a list of different names.")
     for name in names:
         picture.model(name)
-
-
-def _start(detected: DetectedScene, *, solve_range: bool) -> SceneState:
-    names = (*detected.found, *detected.overlapping)
-    found = detected.found.values()
-    places = [(body.sized_place if solve_range else body.place).center_px for body in found]
-    log_range = [-np.log(body.size_ratio) if solve_range else 0.0 for body in found]
-    places += list(detected.overlapping.values())
-    log_range += [0.0] * len(detected.overlapping)
-    return SceneState(names, np.array(places), np.array(log_range), np.ones(len(names)))
 
 
 def _empty(detected: DetectedScene) -> dict[str, BodyCenter]:
@@ -159,10 +159,13 @@ def find_least_squares(
     circle: Circle | None = None,
     solve_range: bool = False,
     search_radius_px: float | None = None,
+    known_surface: bool = False,
 ) -> BodyCenter:
     """Find a body's center of figure: center, brightness and a level fitted, and its range if wanted.
 
-    Bodies that hide it or mix their light with it are fitted along; pixels of the others are left out.
+    Bodies that hide it or mix their light with it are fitted along; pixels of the others are left out. The disk is measured
+    first (`opnav_workbench.bodies.disk`): where it has another size or other axes than the model, the body is rendered with
+    those, if the light as a whole speaks for them; and where its center is another one, the result is ``uncertain``.
 
     Parameters
     ----------
@@ -171,13 +174,15 @@ def find_least_squares(
     solve_range
         Solve for its range from the size of its image.
     search_radius_px
-        How far from its prediction (or circle) the body may be; see `find_jointly`.
+        How far from its prediction (or circle) the body may be; None: anywhere.
+    known_surface
+        The model is truer than the likelihood of the disk, which knows no map of an albedo: it is not asked.
 
     Returns
     -------
     BodyCenter
-        `detail` is a `ModelFit`. The covariance holds the noise and what the residuals say of a pattern that the model
-        lacks (`opnav_workbench.bodies.residuals`).
+        `detail` is a `ModelFit`. The covariance holds the noise, what the residuals say of a pattern that the model lacks
+        (`opnav_workbench.bodies.residuals`), and half of the difference from the likelihood's center (`second`).
 
     Raises
     ------
@@ -186,6 +191,11 @@ def find_least_squares(
     """
     circles = {} if circle is None else {name: circle}
     joint = find_jointly(
-        picture, (name,), circles=circles, solve_range=solve_range, search_radius_px=search_radius_px
+        picture,
+        (name,),
+        circles=circles,
+        solve_range=solve_range,
+        search_radius_px=search_radius_px,
+        known_surfaces=(name,) if known_surface else (),
     )
     return joint.centers[0]

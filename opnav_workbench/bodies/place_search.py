@@ -2,8 +2,7 @@
 
 At every lag the model, times a brightness, plus a level is fitted to the pixels under it; all sums over pixels are
 correlations, done with the FFT. Bad pixels have no weight and edges no pixels. The best lag is where the fit explains
-most of what is there, in units of the noise; a paraboloid through the peak and its neighbours refines it. Large bodies
-are correlated in bins of several pixels.
+most of what is there, in units of the noise; a paraboloid through the peak and its neighbours refines it.
 
 Reference: Jackman & Dumont (2013), AAS 13-443, "Cross-Correlation Target Centerfinding".
 """
@@ -13,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, model_picture
@@ -24,7 +22,6 @@ __all__ = ["CorrelationPeak", "search_place"]
 
 ComplexArray = NDArray[np.complex128]
 
-BINNED_RADIUS_PX = 40.0  # larger bodies are searched in bins: their centers are good to a fraction of a bin
 MIN_INFORMATION = 0.02  # part of the body's light (squared) that must lie on usable pixels
 
 
@@ -38,19 +35,13 @@ class CorrelationPeak:
         nan where there are no usable pixels.
     snr
         Of its brightness.
-    scale
-        Its brightness, data over model.
     explained
         Share, 0..1, of what is under the body that the model explains, noise taken out.
-    usable
-        Share of the body's light (squared) on usable pixels, at the best place.
     """
 
     center_px: FloatArray
     snr: float
-    scale: float
     explained: float
-    usable: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -70,7 +61,6 @@ def search_place(
     search_px: float,
     *,
     range_scale: float = 1.0,
-    subtract_dn: FloatArray | None = None,
 ) -> CorrelationPeak:
     """Search for a body within `search_px` of a place.
 
@@ -82,23 +72,15 @@ def search_place(
         Of the circle that holds its outline.
     range_scale
         Range over the a priori one.
-    subtract_dn : (n_line, n_pixel) array, optional
-        Light of other bodies, of the size of the detector.
     """
-    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, 0.0)
+    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
     reach = radius_px + PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
     window = _clipped(picture, center_px, search_px + reach)
     if min(window[2:]) < 3:
         return nowhere
     data = cut_out(picture, window, keep_saturated=True)
-    if subtract_dn is not None:
-        pixel, line, n_pixel, n_line = window
-        light = subtract_dn[line : line + n_line, pixel : pixel + n_pixel]
-        data = Cutout(window, np.where(data.use, data.data_dn - light, 0.0), data.noise_dn, data.use,
-                      data.saturated, data.gain_e_per_dn)  # fmt: skip
     template = _template(picture, name, center_px, reach, range_scale)
-    bins = max(1, int(radius_px // BINNED_RADIUS_PX))
-    return _highest_peak(data, template, bins, center_px, search_px) if data.use.any() else nowhere
+    return _highest_peak(data, template, center_px, search_px) if data.use.any() else nowhere
 
 
 def _clipped(picture: BodyPicture, center: FloatArray, half: float) -> tuple[int, int, int, int]:
@@ -122,13 +104,10 @@ def _template(
 
 
 def _highest_peak(
-    data: Cutout, template: _Template, bins: int, expected: FloatArray, search_px: float
+    data: Cutout, template: _Template, expected: FloatArray, search_px: float
 ) -> CorrelationPeak:
-    weight, weighted, squared = (
-        _binned(plane, bins)
-        for plane in (data.weight(), data.weight() * data.data_dn, data.weight() * data.data_dn**2)
-    )
-    light = _binned(template.light, bins) / bins**2
+    weight, light = data.weight(), template.light
+    weighted, squared = weight * data.data_dn, weight * data.data_dn**2
     lags = _LagCorrelator(weight.shape, light.shape)
     box, model, power = (lags.spectrum(plane) for plane in (np.ones_like(light), light, light**2))
     usable = lags.spectrum((weight > 0.0).astype(float))
@@ -143,14 +122,14 @@ def _highest_peak(
         scale = np.where(good, signal / np.where(good, information, 1.0), 0.0)
     snr = scale * np.sqrt(np.maximum(information, 0.0))
     variation = wdd - wd**2 * mean
-    count = lags.correlate(usable, box) * bins**2
+    count = lags.correlate(usable, box)
     gain = np.maximum(snr, 0.0) ** 2
     explained = gain / np.maximum(np.maximum(variation - count, gain), 1e-300)
-    # The sample at lag k has the template's first pixel at bin k of the data.
+    # The sample at lag k has the template's first pixel at pixel k of the data.
     origin = (np.array(data.window[:2]) + template.center)[:, None, None]
-    grid = np.stack(np.meshgrid(lags.pixel, lags.line)) * bins + origin
-    near = np.hypot(*(grid - expected[:, None, None])) <= max(search_px, 0.75 * bins)
-    return _refined_peak(snr * explained, near & good, grid, (snr, scale, explained, wmm / wmm.max()), bins)
+    grid = np.stack(np.meshgrid(lags.pixel, lags.line)) + origin
+    near = np.hypot(*(grid - expected[:, None, None])) <= max(search_px, 0.75)
+    return _refined_peak(snr * explained, near & good, grid, (snr, explained))
 
 
 def _refined_peak(
@@ -158,10 +137,9 @@ def _refined_peak(
     searched: BoolArray,
     grid: FloatArray,
     maps: tuple[FloatArray, ...],
-    bins: int,
 ) -> CorrelationPeak:
     if not searched.any():
-        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0, 0.0)
+        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
     row, column = np.unravel_index(np.where(searched, surface, -np.inf).argmax(), surface.shape)
     inner = 0 < row < surface.shape[0] - 1 and 0 < column < surface.shape[1] - 1
     center = grid[:, row, column]
@@ -169,9 +147,9 @@ def _refined_peak(
         patch = surface[row - 1 : row + 2, column - 1 : column + 2]
         if not patch.max() > patch[1, 1]:
             offset, _ = refine_peaks(surface[None], np.array([row]), np.array([column]))
-            center = center + bins * offset[0]
-    snr, scale, explained, usable = (float(plane[row, column]) for plane in maps)
-    return CorrelationPeak(center, snr, scale, explained, usable)
+            center = center + offset[0]
+    snr, explained = (float(plane[row, column]) for plane in maps)
+    return CorrelationPeak(center, snr, explained)
 
 
 class _LagCorrelator:
@@ -189,8 +167,3 @@ class _LagCorrelator:
         """Return sums over x of plane(x + lag) template(x), [line lag, pixel lag], from their transforms."""
         out = fft.irfft2(plane * np.conj(template), self.length)
         return np.asarray(out[self.line[:, None], self.pixel[None, :]])
-
-
-def _binned(plane: FloatArray, bins: int) -> FloatArray:
-    """Return sums over bins x bins pixels; an incomplete last row or column counts as it is."""
-    return plane if bins == 1 else np.asarray(block_reduce(plane, bins, func=np.sum))

@@ -1,4 +1,4 @@
-"""What the residuals of a full-disk fit say of a center beyond the noise: a pattern, or a size, that the model lacks.
+"""What the residuals of a full-disk fit say of a center beyond the noise: a pattern that the model lacks.
 
 Pattern  Albedo features leave residuals that many neighbouring pixels share. Scaling a covariance by reduced chi-squared
          counts each of those pixels as a witness of its own, and makes sigma too small by about the square root of the
@@ -13,25 +13,17 @@ Pattern  Albedo features leave residuals that many neighbouring pixels share. Sc
          are raised. What this cannot see: features as large as the body itself, which a shift imitates altogether. Over
          random maps of Pluto's contrast sigma is right to a factor of 1.7: too large for small features near full
          phase, too small for large ones on a half disk.
-Size     A linear estimate from the residuals first, and a fit with the range free only where that is significant.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies.detection import DetectedBody
-from opnav_workbench.bodies.picture import BodyPicture
-from opnav_workbench.bodies.scene_fit import SceneFit, fit_scene, range_derivatives
-from opnav_workbench.bodies.subarray import Cutout
 
-__all__ = ["ResidualPattern", "find_residual_pattern", "size_ratios"]
+__all__ = ["ResidualPattern", "find_residual_pattern"]
 
-
-# ---- What the residuals say of a center beyond the noise: the effect of a pattern that the model lacks.
 
 LIT_SHARE = 0.1  # of the peak: pixels that show a surface, not its blurred edge
 MIN_PIXELS = 12
@@ -152,53 +144,3 @@ def _joined(images: FloatArray, length: float) -> FloatArray:
         double[-1] = 1.0
     weighted = spectra * np.maximum(kernel, 0.0) * double
     return symmetric(np.einsum("plm,qlm->pq", np.conj(spectra), weighted, optimize=True).real / np.prod(good))
-
-
-# ---- Whether a body's image has the size of its model.
-
-NOTICED = 0.02  # relative change of size that a linear estimate must show before a fit is spent on it
-SIGMAS = 5.0
-MIN_DIAMETER_PX = 4.0  # smaller images tell their brightness, not their size
-BETTER = 0.7  # of chi-squared, in which another size must fit to be believed
-
-
-def size_ratios(
-    picture: BodyPicture, cutout: Cutout, fit: SceneFit, found: Sequence[DetectedBody]
-) -> FloatArray:
-    """Return the size of each body's image over that of its model (n,); 1 where nothing speaks against it.
-
-    A linear estimate first, from what the residuals have in common with a change of size; where that is significant, or
-    where the search has seen another size, a fit with the size free. `found` are the first bodies of the fit.
-    """
-    n = len(fit.state.names)
-    checked = fit.light.diameter_px > MIN_DIAMETER_PX
-    if not checked.any():
-        return np.full(n, np.nan)
-    change, sigma = _linear_estimate(
-        fit, range_derivatives(picture, cutout.window, fit.state, fit.light, checked)
-    )
-    scatter = np.sqrt(max(fit.chi2 / fit.degrees_of_freedom, 1.0))
-    noticed = np.zeros(n, dtype=bool)
-    noticed[checked] = (np.abs(change) > NOTICED) & (np.abs(change) > SIGMAS * scatter * sigma)
-    ratios = np.where(checked, 1.0, np.nan)
-    start = fit.state
-    for index, body in enumerate(found):
-        if body.size_ratio != 1.0:
-            noticed[index] = checked[index]
-            start = start.at(index, body.sized_place.center_px, -float(np.log(body.size_ratio)))
-    if not noticed.any():
-        return ratios
-    free = fit_scene(picture, cutout, start, solve_range=noticed, reject_hits=False)
-    if free.chi2 > BETTER * fit.chi2:
-        return ratios
-    return np.where(noticed, np.exp(-free.state.log_range), ratios)
-
-
-def _linear_estimate(fit: SceneFit, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return changes (k,) of the logarithm of range, all else solved for again, and their sigmas."""
-    used = fit.weight > 0.0
-    columns = np.concatenate([sizes[:, used], fit.columns[:, used]])
-    weighted = columns * fit.weight[used]
-    inverse = np.linalg.pinv(symmetric(weighted @ columns.T), rcond=1e-14, hermitian=True)
-    k = len(sizes)
-    return (inverse @ (weighted @ fit.residual_dn[used]))[:k], np.sqrt(np.diag(inverse)[:k])

@@ -42,7 +42,6 @@ __all__ = [
     "describe_body_flags",
     "flag_messages",
     "flags_where",
-    "size_messages",
 ]
 
 
@@ -274,35 +273,6 @@ def flag_messages(flags: BodyFlag, notes: Mapping[BodyFlag, str]) -> list[str]:
     """
     notes = {flag: f" ({notes[flag]})" if notes.get(flag) else "" for flag in BodyFlag}
     return [describe_body_flags(flag) + notes[flag] for flag in BodyFlag if flag & flags]
-
-
-def size_messages(
-    size_ratio: float, circle_ratio: float, predicted_px: float, subject: str, remedy: str
-) -> list[str]:
-    """Return what speaks against the predicted size: the image's size, or that of an analyst's circle.
-
-    Parameters
-    ----------
-    size_ratio, circle_ratio
-        Measured size and the circle's over the predicted one; nan where there is none, or where it tells nothing.
-    predicted_px
-        Predicted diameter.
-    subject
-        What was measured, as the message begins: "its limb is".
-    remedy
-        What to do about a wrong size.
-    """
-    messages = []
-    if np.isfinite(size_ratio) and abs(size_ratio - 1.0) > SIZE_TOLERANCE:
-        messages.append(
-            f"{subject} {100 * abs(size_ratio - 1.0):.0f} % {'larger' if size_ratio > 1.0 else 'smaller'} "
-            f"than the predicted {predicted_px:.1f} px: {remedy}"
-        )
-    if np.isfinite(circle_ratio) and abs(np.log(circle_ratio)) > CIRCLE_SIZE_TOLERANCE:
-        messages.append(
-            f"the circle is {circle_ratio * predicted_px:.1f} px wide, the prediction {predicted_px:.1f} px"
-        )
-    return messages
 
 
 # ---- What a limb scan keeps of every scan.
@@ -557,8 +527,6 @@ class LimbEllipse:
 
 
 # ---- Verdict over a body's center: flags, status, and what the analyst must know.
-CIRCLE_SIZE_TOLERANCE = 0.15  # an analyst draws a circle to a few percent
-SIZE_TOLERANCE = 0.1
 DOUBTFUL_FLAGS = (
     BodyFlag.THIN_CRESCENT
     | BodyFlag.CIRCLE_MISFIT

@@ -13,7 +13,16 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.constants import MAD_TO_SIGMA
 
-__all__ = ["Cutout", "SubArray", "choose_subarray", "cut_out", "find_hit_pixels", "search_radius"]
+__all__ = [
+    "Cutout",
+    "SubArray",
+    "choose_subarray",
+    "cut_out",
+    "find_hit_pixels",
+    "outline_radius_px",
+    "search_limit",
+    "search_radius",
+]
 
 
 # ---- The part of a picture in which a body is looked for.
@@ -71,6 +80,20 @@ def search_radius(radius_px: float, circle: Circle | None, given_px: float | Non
     return max(SEARCH_SHARE * radius_px, MIN_SEARCH_PX)
 
 
+def search_limit(radius_px: float, circle: Circle | None, given_px: float | None) -> float | None:
+    """Return how far from its expected center a body was looked for, px; None: anywhere."""
+    if circle is None and given_px is None:
+        return None
+    return search_radius(radius_px, circle, given_px)
+
+
+def outline_radius_px(picture: BodyPicture, name: str) -> float:
+    """Return the radius of the circle that holds a body's predicted outline, px; 0 for a point."""
+    prediction = picture.prediction(name)
+    limb = prediction.limb_px - prediction.pixel_line
+    return float(np.hypot(*limb.T).max()) if len(limb) and np.isfinite(limb).all() else 0.0
+
+
 def choose_subarray(
     picture: BodyPicture, name: str, circle: Circle | None = None, margin: float | None = None
 ) -> SubArray:
@@ -83,11 +106,9 @@ def choose_subarray(
     margin
         Pixels around the expected outline; None: the PSF's reach and a rim of background.
     """
-    prediction = picture.prediction(name)
-    limb = prediction.limb_px - prediction.pixel_line
-    radius = float(np.hypot(*limb.T).max()) if len(limb) and np.isfinite(limb).all() else 0.0
-    center = prediction.pixel_line
-    if circle is not None:
+    if circle is None:
+        center, radius = picture.center_px(name), outline_radius_px(picture, name)
+    else:
         center, radius = circle.center_px, circle.radius_px
     if not np.isfinite(center).all():
         return SubArray((0, 0, 0, 0), center, radius)

@@ -16,9 +16,10 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.bodies.detection import detection_snr
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag, BodyResiduals
 from opnav_workbench.bodies.subarray import choose_subarray, search_radius
@@ -45,6 +46,7 @@ __all__ = ["find_unresolved", "find_unresolved_body", "law_covariance"]
 METHOD = "unresolved"
 DETECTED_SNR = 3.0  # of the fit; the peak it starts from has stood out of its whole search area
 CERTAIN_SNR = 5.0
+FALSE_ALARM = 0.01  # one search area in a hundred may hold noise that looks like a body
 NEIGHBOUR_PX = 4.0  # a star nearer than this pulls the center
 FIT_FAILED = StarFlag.NOT_CONVERGED | StarFlag.NOT_FINITE
 SUSPICIOUS = StarFlag.AT_BOUND | StarFlag.EDGE | StarFlag.COSMIC_RAY | StarFlag.BLENDED
@@ -69,6 +71,30 @@ BODY_FLAGS = {
     StarFlag.NOT_FINITE: BodyFlag.EMPTY,
     StarFlag.HIT: BodyFlag.HIT,
 }
+
+
+def detection_snr(search_radius_px: float, sigma_px: float) -> float:
+    """Return the SNR that noise alone exceeds, somewhere in a circular search area, with `FALSE_ALARM`.
+
+    The expected Euler characteristic of a Gaussian random field above a level; white noise filtered with a
+    Gaussian of `sigma_px` has gradients of variance 1 / (2 sigma^2).
+
+    Reference: Adler (1981), The Geometry of Random Fields; Worsley (1996), doi:10.2307/1427576.
+
+    Examples
+    --------
+    >>> [round(detection_snr(radius, 0.7), 1) for radius in (3.0, 30.0)]
+    [3.7, 4.8]
+    """
+    radius = search_radius_px / (np.sqrt(2.0) * sigma_px)
+
+    def surplus(level: float) -> float:
+        density = np.exp(-0.5 * level**2)
+        area = np.pi * radius**2 * level * density / (2.0 * np.pi) ** 1.5
+        rim = np.pi * radius * density / (2.0 * np.pi)
+        return float(area + rim + ndtr(-level) - FALSE_ALARM)
+
+    return float(brentq(surplus, 1.0, 10.0))
 
 
 def not_detected(name: str, snr: float, radius_px: float, sigma_px: float) -> BodyCenter:

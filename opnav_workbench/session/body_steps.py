@@ -109,20 +109,23 @@ def _center_as_lit(context: Context, inputs: Inputs, state: SessionState, reques
     options = search_options(context, inputs, state, request, prediction)
     if method == "disk":
         center = find_disk(picture, name, **options)
-        if request.method == "auto" and center.pixel_line is None:
+        if request.method == "auto" and center.status == "failed":
             return _otherwise(center, find_least_squares(picture, name, **options))
         return center
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
-    if method == "ellipse":
-        center = find_ellipse(picture, name, **options)
-    elif method == "cross_correlation":
-        center = find_cross_correlation(picture, name, **options)
-    else:
-        center = find_least_squares(picture, name, solve_range=request.solve_range, **options)
     # A body with a map of its albedo has a truer model than the likelihood's, which knows no Sun that is guessed, either.
-    alone = has_albedo_map(context, name) or (method == "ellipse" and name in state.assisted)
-    return center if alone else confirmed_center(picture, center, **options)
+    known = has_albedo_map(context, name)
+    if method == "cross_correlation":
+        return find_cross_correlation(picture, name, known_surface=known, **options)
+    if method == "least_squares":
+        return find_least_squares(
+            picture, name, solve_range=request.solve_range, known_surface=known, **options
+        )
+    center = find_ellipse(picture, name, **options)
+    if known or name in state.assisted or center.pixel_line is None:
+        return center
+    return confirmed_center(center, find_disk(picture, name, **options))
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:
@@ -149,7 +152,10 @@ def find_joint_centers(
     except (MissionError, KernelError, CameraError) as error:
         raise SessionError(f"{', '.join(names)}: not all of them can be drawn: {error}") from error
     circles = {r.name: circle for r in requests if (circle := start_circle(state, r)) is not None}
-    return find_jointly(picture, names, circles=circles, solve_range=requests[0].solve_range)
+    known = [name for name in names if has_albedo_map(context, name)]
+    return find_jointly(
+        picture, names, circles=circles, solve_range=requests[0].solve_range, known_surfaces=known
+    )
 
 
 def target_with_shape(context: Context, inputs: Inputs, name: str) -> TargetState:

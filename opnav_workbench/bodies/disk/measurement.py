@@ -25,7 +25,7 @@ from opnav_workbench.bodies.place import (
 )
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
-from opnav_workbench.bodies.subarray import find_hit_pixels, search_radius
+from opnav_workbench.bodies.subarray import choose_subarray, find_hit_pixels, outline_radius_px, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 from opnav_workbench.threads import one_thread
@@ -34,6 +34,7 @@ __all__ = [
     "MeasuredDisk",
     "alike",
     "crossing_covariance",
+    "disk_at",
     "likelier",
     "measure_disk",
     "placed_body",
@@ -41,6 +42,7 @@ __all__ = [
     "sigmas_apart",
 ]
 
+FAR_SIZES = 10.0  # detectors
 LEAST_DIAMETER_PX = 0.5  # the method of choice begins at 1 px of another measure of the size
 
 
@@ -81,6 +83,11 @@ class MeasuredDisk:
         return 0.5 * self.fit.outline.diameter_px
 
     @property
+    def log_size(self) -> tuple[float, float]:
+        """Logarithm of the size over the model's, and its sigma."""
+        return self.fit.shape.log_size, self.fit.sigma(Unknown.SIZE)
+
+    @property
     def expected_px(self) -> FloatArray:
         """Where the body was looked for (2,)."""
         return self.picture.center_px(self.name) if self.circle is None else self.circle.center_px
@@ -98,9 +105,19 @@ def measure_disk(
         No such body in the picture.
     """
     placed = placed_body(picture, name, method, circle, search_px)
-    if isinstance(placed, BodyCenter):
-        return placed
-    picture, place = placed
+    return placed if isinstance(placed, BodyCenter) else disk_at(*placed, name, method, circle, search_px)
+
+
+@one_thread()
+def disk_at(
+    picture: BodyPicture,
+    place: BodyPlace,
+    name: str,
+    method: str,
+    circle: Circle | None,
+    search_px: float | None,
+) -> MeasuredDisk | BodyCenter:
+    """Fit the disk of a body that `placed_body` has found; parameters as of `measure_disk`."""
     try:
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
@@ -126,9 +143,8 @@ def placed_body(
     """
     if (why := _unsuitable(picture, name)) is not None:
         return BodyCenter.without_center(name, method, "failed", why)
-    if circle is None and _beside_the_detector(picture, name, search_px):
-        away = "it is predicted beside the detector, farther than it is looked for"
-        return BodyCenter.without_center(name, method, "off_detector", away)
+    if (beside := _beside_the_detector(picture, name, circle, search_px)) is not None:
+        return BodyCenter.without_center(name, method, "off_detector", beside)
     picture = with_true_sky(picture)
     try:
         place = find_place(picture, name, circle, search_px)
@@ -136,10 +152,9 @@ def placed_body(
         return BodyCenter.without_center(name, method, "failed", str(error))
     if place is not None:
         return picture, place
-    if not np.any(np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)):
-        return BodyCenter.without_center(
-            name, method, "failed", "no usable pixels in the picture", flags=int(BodyFlag.EMPTY)
-        )
+    if not _shown(picture, choose_subarray(picture, name, circle, 0.0).slices):
+        nowhere = "no usable pixels where it is expected"
+        return BodyCenter.without_center(name, method, "failed", nowhere, flags=int(BodyFlag.EMPTY))
     nothing = "nothing of its size and phase stands out of the sky"
     if circle is not None or search_px is not None:
         nothing += f" within {search_radius(0.0, circle, search_px):.0f} px of its expected place"
@@ -157,13 +172,28 @@ def _unsuitable(picture: BodyPicture, name: str) -> str | None:
     return None
 
 
-def _beside_the_detector(picture: BodyPicture, name: str, search_px: float | None) -> bool:
-    radius = 0.5 * picture.diameter_px(name)
-    center, size = picture.center_px(name), np.array([picture.camera.n_pixel, picture.camera.n_line])
+def _beside_the_detector(
+    picture: BodyPicture, name: str, circle: Circle | None, search_px: float | None
+) -> str | None:
+    """Say that a body is expected beside the detector, farther than it is looked for; None: it is not."""
+    radius = outline_radius_px(picture, name)
+    center = picture.center_px(name) if circle is None else circle.center_px
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     if not np.isfinite(center).all():
-        return True
-    reach = radius + search_radius(radius, None, search_px)
-    return bool(np.any(center < -0.5 - reach) or np.any(center > size - 0.5 + reach))
+        return "it is not in front of the camera"
+    away = float(np.hypot(*np.maximum(np.maximum(-0.5 - center, center - size + 0.5), 0.0)))
+    if away <= radius + search_radius(radius, circle, search_px):
+        return None
+    where = f"expected at pixel {center[0]:.1f}, line {center[1]:.1f}"
+    if np.abs(center).max() > FAR_SIZES * size.max():
+        where = "expected far outside the field"
+    return f"{where}, {away:.0f} px off the {size[0]} x {size[1]} detector"
+
+
+def _shown(picture: BodyPicture, part: tuple[slice, slice]) -> bool:
+    """Tell whether a part of a picture has pixels that show anything; one beside the detector, where a body may end, has."""
+    seen = np.isfinite(picture.signal_dn[part]) & (~picture.bad[part] | picture.saturated[part])
+    return bool(seen.any()) or not seen.size
 
 
 def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:
