@@ -27,7 +27,14 @@ from opnav_workbench.bodies.detection import (
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
-from opnav_workbench.bodies.scene_fit import SceneFit, SceneLight, SceneState, light_scene, solve_brightness
+from opnav_workbench.bodies.scene_fit import (
+    SceneFit,
+    SceneLight,
+    SceneState,
+    light_scene,
+    solve_brightness,
+    turns_back,
+)
 from opnav_workbench.bodies.subarray import Cutout, find_hit_pixels
 from opnav_workbench.stars.peaks import paraboloid_peak
 from opnav_workbench.threads import one_thread
@@ -143,7 +150,7 @@ def _iterate(cutout: Cutout, detected: DetectedScene) -> SceneFit:
     hits = np.zeros(cutout.use.shape, dtype=bool)
     slopes = np.empty((0, *cutout.use.shape))
     steps: list[FloatArray] = []
-    searched = False
+    searched, share = False, 1.0
     for _ in range(MAX_RENDERINGS):
         fresh = not steps or float(np.abs(steps[-1][0]).max()) > FRESH_SLOPES_PX
         light = light_scene(
@@ -152,7 +159,9 @@ def _iterate(cutout: Cutout, detected: DetectedScene) -> SceneFit:
         slopes = light.d_center if fresh else slopes
         state, weight = solve_brightness(cutout, state, light.each, hits)
         step, correlation, response = _peak_step(cutout, state, light, slopes[:2], weight)
-        change = np.tile(step, (len(names), 1))  # bodies that touch it move along
+        if steps and turns_back(step, steps[-1][0]):
+            share *= 0.5
+        change = share * np.tile(step, (len(names), 1))  # bodies that touch it move along
         steps.append(change)
         still = float(np.abs(step).max()) < CONVERGED_PX
         fit = _as_fit(cutout, state, light, slopes, weight, hits, change, correlation, response)

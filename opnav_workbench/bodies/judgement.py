@@ -248,7 +248,7 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
 
 
 def is_other_size(log_size: float, sigma: float, allowed: float) -> bool:
-    """Tell whether an image has not the size of its model, beyond what is allowed that and its measurement (1 sigma each)."""
+    """Tell whether an image has not its model's size, beyond what is allowed that and the measurement (1 sigma each)."""
     return abs(log_size) > MISFIT_SIGMAS * float(np.hypot(allowed, sigma))
 
 

@@ -548,7 +548,11 @@ def fit_crossings(
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    solution, near, widest = expected, near_px, scales[:1]  # a limb that is not the model's must not be lost
+    # A limb that is not the model's must not be lost, whatever was stated of it.
+    unstated = FigureUncertainty()
+    bounds = max(figure.size_sigma, unstated.size_sigma), max(figure.axes_sigma, unstated.axes_sigma)
+    widest = scale_precisions(len(precision), ([2], [bounds[0]]), ([3, 4], [bounds[1]]))
+    solution, near = expected, near_px
     for _ in range(NARROWINGS):
         solution = solved(solution, near, near**2, widest)
         near = max(0.5 * near, NEAREST_PX, relief_px)

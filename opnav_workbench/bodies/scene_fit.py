@@ -32,6 +32,7 @@ __all__ = [
     "light_scene",
     "range_derivatives",
     "solve_brightness",
+    "turns_back",
 ]
 
 
@@ -247,10 +248,14 @@ def _scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 MAX_RENDERINGS = 12
 CONVERGED_PX = 0.01  # a step this small leaves an error of second order, 1e-4 px
+STILL_SIGMAS = 0.1  # of the center, as the residuals scatter
 MAX_STEP_PX = 2.0  # linear in the center no farther than the PSF and the limb's curvature allow
 MAX_STEP_LOG = 0.25
 MAX_LOG_RANGE = 1.2  # a factor of 3.3
 FRESH_PX = 0.15  # derivatives that were taken farther away than this are taken anew
+TURNED = (
+    0.5  # a step back by this share of the last one: to and fro, with weights that change as the model does
+)
 GROWTH = 1.01  # chi-squared may grow so much in a step: the weights change with the model
 
 
@@ -435,11 +440,15 @@ def solve_brightness(
 
 
 def _minimize(problem: _SceneProblem, linear: _LinearizedScene) -> SceneFit:
-    """Step until the steps are small; a step that makes the fit worse is halved."""
+    """Step until the steps are small; one that makes the fit worse is halved; so are all from one on that turns back."""
     steps: list[FloatArray] = []
+    share = 1.0
     for _ in range(MAX_RENDERINGS):
         change = _step(linear, problem)
-        small = _length(change, linear, problem) < CONVERGED_PX
+        small = _length(change, linear, problem) < max(CONVERGED_PX, STILL_SIGMAS * _sigma_px(linear))
+        if steps and turns_back(change[: steps[-1].size], steps[-1].ravel()):
+            share *= 0.5
+        change = change if small else share * change
         state = _stepped(linear.state, change, problem)
         steps.append(state.centers_px - linear.state.centers_px)
         if small:
@@ -449,6 +458,12 @@ def _minimize(problem: _SceneProblem, linear: _LinearizedScene) -> SceneFit:
             steps[-1] = 0.5 * steps[-1]
             linear = _linearised(problem, _between(previous.state, state), previous.hits, previous)
     return _finished(linear, np.zeros(len(linear.columns)), linear.state, tuple(steps), converged=False)
+
+
+def turns_back(step: FloatArray, last: FloatArray) -> bool:
+    """Tell whether a step undoes a good part of the last one; one much longer is due to fresh derivatives."""
+    before = float(last @ last)
+    return float(step @ last) < -TURNED * before and float(step @ step) < before / TURNED**2
 
 
 def _step(linear: _LinearizedScene, problem: _SceneProblem) -> FloatArray:
@@ -469,6 +484,13 @@ def _length(change: FloatArray, linear: _LinearizedScene, problem: _SceneProblem
     n, k = len(linear.state.names), problem.count
     limbs = change[2 * n : 2 * n + k] * 0.5 * linear.light.diameter_px[problem.wanted]
     return float(np.abs(np.concatenate([change[: 2 * n], limbs])).max())
+
+
+def _sigma_px(linear: _LinearizedScene) -> float:
+    """Return how well the centers are known, px, if the residuals are noise."""
+    n = 2 * len(linear.state.names)
+    variance = np.diag(inverse_normal(normal_matrix(linear.columns, linear.weight)))[:n]
+    return float(np.sqrt(variance.max() * max(linear.chi2 / linear.degrees, 1.0)))
 
 
 def _stepped(state: SceneState, change: FloatArray, problem: _SceneProblem) -> SceneState:
