@@ -66,18 +66,28 @@ def test_wrong_radius(body_stage, finder, factor):
 
 @pytest.mark.parametrize("size_sigma", [0.1, 0.005])
 def test_known_surface_of_another_size(body_stage, size_sigma):
-    """Where the disk is not asked, the crossings of its limb tell the size; whether that may be is for the model to say."""
-    figure = FigureUncertainty(size_sigma=size_sigma)
+    """Where the disk is not asked, the crossings of its limb tell the size; the center goes with the model's."""
     light = body_stage.light(body_stage.body(60.0, 40.0, TRUE))
-    expected = body_stage.body(56.0, 40.0, TRUE, figure=figure)
+    expected = body_stage.body(50.0, 40.0, TRUE, figure=FigureUncertainty(size_sigma=size_sigma))
     picture = body_stage.picture(light, [expected], np.random.default_rng(3))
     found = find_least_squares(picture, "BODY", known_surface=True)
     assert found.second is None
-    assert bool(found.flags & BodyFlag.CIRCLE_MISFIT) == (size_sigma < 0.1)
-    assert (
-        not find_least_squares(picture, "BODY", known_surface=True, solve_range=True).flags
-        & BodyFlag.CIRCLE_MISFIT
-    )
+    assert found.flags & BodyFlag.CIRCLE_MISFIT
+    solved = find_least_squares(picture, "BODY", known_surface=True, solve_range=True)
+    assert solved.status == "ok"
+    assert within_sigmas(solved)
+
+
+@pytest.mark.parametrize("finder", FINDERS)
+def test_a_size_that_was_stated_wrongly(body_stage, finder):
+    """7 % larger than what is stated to 0.5 %: 2 px off by the stated size, which the limb's crossings contradict."""
+    light = body_stage.light(body_stage.body(60.0, 40.0, TRUE))
+    expected = body_stage.body(56.0, 40.0, TRUE, figure=FigureUncertainty(size_sigma=0.005))
+    found = finder(body_stage.picture(light, [expected], np.random.default_rng(3)), "BODY")
+    assert found.status == "uncertain"
+    assert found.flags & BodyFlag.CIRCLE_MISFIT
+    assert "it is 7 % larger" in " ".join(found.messages)
+    np.testing.assert_allclose(found.pixel_line, TRUE, rtol=0, atol=0.1)
 
 
 def test_a_circle_of_another_size_leads_nowhere_else(body_stage):

@@ -76,7 +76,7 @@ def test_saturation_is_an_unknown_of_a_place(body_stage):
 @pytest.mark.slow(keep=["1.08"])
 @pytest.mark.parametrize("truth_share", [1.0, 1.08])
 def test_full_disk_center_beside_the_likelihood(body_stage, truth_share):
-    """A body 8 % larger than expected, half lit, is fitted with the size that its disk has; with its own it is 1.2 px off."""
+    """A body 8 % larger than expected, half lit, is fitted with its disk's size; with its own it is 1.2 px off."""
     model = body_stage.body(60.0, 80.0, TRUE)
     larger = replace(model, target=replace(model.target, radii_km=truth_share * model.target.radii_km))
     picture = body_stage.picture(body_stage.light(larger), [model], np.random.default_rng(1))
