@@ -5,7 +5,7 @@ import pytest
 from scipy.special import erf
 
 from opnav_workbench.bodies import BodyCenter, find_unresolved
-from opnav_workbench.bodies.detection import FALSE_ALARM, detection_snr
+from opnav_workbench.bodies.unresolved import FALSE_ALARM, detection_snr
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.stars import NoiseModel, ShapePrior
 
