@@ -38,7 +38,7 @@ from opnav_workbench.bodies.results import (
     flags_where,
 )
 from opnav_workbench.bodies.scene_fit import SceneFit
-from opnav_workbench.bodies.subarray import Cutout, outline_radius_px, search_limit
+from opnav_workbench.bodies.subarray import Cutout, left_search, outline_radius_px
 
 __all__ = ["report_fitted_bodies"]
 
@@ -184,7 +184,7 @@ def _judged(context: _FitContext, index: int) -> tuple[BodyFlag, tuple[str, ...]
     bright = np.asarray(light > BRIGHT_SHARE * light.max(initial=0.0))
     lost = lost_pixels(picture, part, bright, cutout.use, fit.hits)
     expected = picture.center_px(name) if body.circle is None else body.circle.center_px
-    limit, hidden = search_limit(radius, body.circle, body.search_px), float(fit.light.occulted[index])
+    away, hidden = float(np.hypot(*(center - expected))), float(fit.light.occulted[index])
     explained = explained_share(cutout.data_dn, fit.residual_dn, fit.weight, light, fit.state.level_dn)
     size, size_sigma = body.seen_log_size
     allowed = 0.0 if body.measured is None else picture.model(name).seen_figure.size_sigma
@@ -197,7 +197,7 @@ def _judged(context: _FitContext, index: int) -> tuple[BodyFlag, tuple[str, ...]
         BodyFlag.OCCULTED: hidden > 0.0 or (len(context.detected.apart) > 0 and lost[BodyFlag.OCCULTED] > 0),
         BodyFlag.CIRCLE_MISFIT: is_other_size(size, size_sigma, allowed) and not context.range_solved[index],
         BodyFlag.POOR_FIT: explained < POORLY_EXPLAINED,
-        BodyFlag.AT_LIMIT: limit is not None and float(np.hypot(*(center - expected))) > limit + 1.0,
+        BodyFlag.AT_LIMIT: left_search(away, radius, body.circle, body.search_px),
         BodyFlag.NOT_CONVERGED: not fit.converged,
     }
     flags = flags_where(conditions)

@@ -27,7 +27,7 @@ from opnav_workbench.bodies.results import (
     flag_messages,
     flags_where,
 )
-from opnav_workbench.bodies.subarray import choose_subarray, search_limit
+from opnav_workbench.bodies.subarray import choose_subarray, left_search
 
 __all__ = [
     "POOR_CHI2",
@@ -229,7 +229,6 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
     outline = fit.outline.points(fit.outline.angle_rad)
     extent = outline.min(axis=0), outline.max(axis=0)
     away = float(np.hypot(*(reading.center_px - disk.expected_px)))
-    limit = search_limit(disk.radius_px, disk.circle, disk.search_px)
     lit = fit.light_dn() > BRIGHT_SHARE * max(fit.brightness_dn, 0.0)
     here = fit.pixels.index
     conditions = {
@@ -237,7 +236,7 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
             reading.log_size, reading.log_size_sigma, fit.figure.size_sigma
         ),
         BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2,
-        BodyFlag.AT_LIMIT: limit is not None and away > limit + 1.0,
+        BodyFlag.AT_LIMIT: left_search(away, disk.radius_px, disk.circle, disk.search_px),
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
         BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(reading)),
         BodyFlag.UNCONFIRMED: not _confirmed(reading),

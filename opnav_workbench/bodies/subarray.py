@@ -19,8 +19,8 @@ __all__ = [
     "choose_subarray",
     "cut_out",
     "find_hit_pixels",
+    "left_search",
     "outline_radius_px",
-    "search_limit",
     "search_radius",
 ]
 
@@ -80,11 +80,11 @@ def search_radius(radius_px: float, circle: Circle | None, given_px: float | Non
     return max(SEARCH_SHARE * radius_px, MIN_SEARCH_PX)
 
 
-def search_limit(radius_px: float, circle: Circle | None, given_px: float | None) -> float | None:
-    """Return how far from its expected center a body was looked for, px; None: anywhere."""
+def left_search(away_px: float, radius_px: float, circle: Circle | None, given_px: float | None) -> bool:
+    """Tell whether a center lies farther from where it was expected than it was looked for; without a limit none does."""
     if circle is None and given_px is None:
-        return None
-    return search_radius(radius_px, circle, given_px)
+        return False
+    return away_px > search_radius(radius_px, circle, given_px) + 1.0
 
 
 def outline_radius_px(picture: BodyPicture, name: str) -> float:
