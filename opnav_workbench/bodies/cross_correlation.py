@@ -20,8 +20,8 @@ from opnav_workbench.bodies.detection import (
     DetectedScene,
     SearchRequest,
     detect_bodies,
+    fit_figures,
     fit_pixels,
-    likelier_figures,
     start_state,
 )
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
@@ -92,7 +92,7 @@ def find_cross_correlation(
     cutout = fit_pixels(detected)
     if cutout is None or np.count_nonzero(cutout.use) < MIN_PIXELS:
         return BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
-    scene, fit = likelier_figures(detected, partial(_iterate, cutout))
+    scene, fit = fit_figures(detected, partial(_iterate, cutout))
     centers, _ = report_fitted_bodies(cutout, scene, fit, METHOD, np.zeros(len(fit.state.names), bool))
     return centers[name]
 

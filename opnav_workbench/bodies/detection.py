@@ -23,6 +23,7 @@ from opnav_workbench.bodies.disk.measurement import (
 from opnav_workbench.bodies.neighbours import edge_reach, near_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
 from opnav_workbench.bodies.place import BodyPlace
+from opnav_workbench.bodies.residuals import surface_excess
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.scene_fit import SceneFit, SceneState
 from opnav_workbench.bodies.strained import strained_picture
@@ -33,9 +34,9 @@ __all__ = [
     "FoundBody",
     "SearchRequest",
     "detect_bodies",
+    "fit_figures",
     "fit_pixels",
     "groups_in_contact",
-    "likelier_figures",
     "start_state",
 ]
 
@@ -169,27 +170,36 @@ class DetectedScene:
     overlapping: Mapping[str, FloatArray]
     apart: Mapping[str, FloatArray]
 
-    def as_seen(self) -> "DetectedScene":
-        """Return the scene with bodies of the figures that their disks have, where these are not their models'."""
+    def as_seen(self, names: Collection[str]) -> "DetectedScene":
+        """Return the scene with some of its bodies as large as their disks, and of the same axes."""
         picture, found = self.picture, dict(self.found)
-        for name, body in self.found.items():
-            if body.measured is not None and body.is_another:
-                picture = strained_picture(picture, name, body.measured.fit.shape.strain)
-                found[name] = replace(body, of_disk=True)
+        for name in names:
+            disk = found[name].measured
+            if disk is not None:
+                picture = strained_picture(picture, name, disk.fit.shape.strain)
+                found[name] = replace(found[name], of_disk=True)
         return replace(self, picture=picture, found=found)
 
 
-def likelier_figures(
+def fit_figures(
     detected: DetectedScene, fit: Callable[[DetectedScene], SceneFit]
 ) -> tuple[DetectedScene, SceneFit]:
-    """Return a scene and its fit: bodies of their models' figures, or of their disks', whichever the pixels rather have.
+    """Return a scene and its fit, bodies with the figures of their disks where the picture needs others than the models'.
 
-    A disk of few pixels may be told another figure by its albedo alone; all of its light is not.
+    Light that its model explains needs none, whatever a disk of few pixels says. Of light that none explains the limb is
+    the better judge: law and albedo may well be those of another figure.
     """
-    seen, pairs = detected.as_seen(), [(detected, fit(detected))]
-    if any(body.of_disk for body in seen.found.values()):
-        pairs.append((seen, fit(seen)))
-    return min(pairs, key=lambda pair: pair[1].chi2 / pair[1].degrees_of_freedom)
+    first = fit(detected)
+    light = [scale * each for scale, each in zip(first.state.scales, first.light.each, strict=True)]
+    other = [
+        name
+        for (name, body), own in zip(detected.found.items(), light[: len(detected.found)], strict=True)
+        if body.is_another and surface_excess(first.residual_dn, first.weight, own).significant
+    ]
+    if not other:
+        return detected, first
+    seen = detected.as_seen(other)
+    return seen, fit(seen)
 
 
 def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequest) -> DetectedScene:

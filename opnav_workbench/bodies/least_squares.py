@@ -19,9 +19,9 @@ from opnav_workbench.bodies.detection import (
     DetectedScene,
     SearchRequest,
     detect_bodies,
+    fit_figures,
     fit_pixels,
     groups_in_contact,
-    likelier_figures,
     start_state,
 )
 from opnav_workbench.bodies.fit_report import report_fitted_bodies
@@ -108,7 +108,7 @@ def _fitted_group(detected: DetectedScene, *, solve_range: bool) -> _Group:
         start = start_state(scene, solve_range=solve_range)
         return fit_scene(scene.picture, cutout, start, solve_range=wanted)
 
-    return _Group(*report_fitted_bodies(cutout, *likelier_figures(detected, fit), METHOD, wanted))
+    return _Group(*report_fitted_bodies(cutout, *fit_figures(detected, fit), METHOD, wanted))
 
 
 def _check(picture: BodyPicture, names: Sequence[str]) -> None:
@@ -165,7 +165,7 @@ def find_least_squares(
 
     Bodies that hide it or mix their light with it are fitted along; pixels of the others are left out. The disk is measured
     first (`opnav_workbench.bodies.disk`): where it has another size or other axes than the model, the body is rendered with
-    those, if the light as a whole speaks for them; and where its center is another one, the result is ``uncertain``.
+    those, unless its model explains the light as it is; and where its center is another one, the result is ``uncertain``.
 
     Parameters
     ----------

@@ -16,13 +16,14 @@ Pattern  Albedo features leave residuals that many neighbouring pixels share. Sc
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
 
-__all__ = ["ResidualPattern", "find_residual_pattern"]
+__all__ = ["ResidualPattern", "find_residual_pattern", "surface_excess"]
 
 
 LIT_SHARE = 0.1  # of the peak: pixels that show a surface, not its blurred edge
@@ -60,6 +61,23 @@ class ResidualPattern:
         freeze_arrays(self)
 
 
+class SurfaceExcess(NamedTuple):
+    """Pixels that show a body's surface; chi-squared beyond that of noise there, whether that is much, and a pixel."""
+
+    lit: BoolArray
+    excess: float
+    significant: bool
+    chi2_reduced: float
+
+
+def surface_excess(residual_dn: FloatArray, weight: FloatArray, light_dn: FloatArray) -> SurfaceExcess:
+    """Return what residuals on a body leave unexplained; parameters as of `find_residual_pattern`."""
+    lit = (light_dn > LIT_SHARE * light_dn.max(initial=0.0)) & (weight > 0.0)
+    count, chi2 = int(lit.sum()), float(np.sum((weight * residual_dn**2)[lit]))
+    significant = count >= MIN_PIXELS and chi2 - count >= SIGNIFICANT * np.sqrt(2.0 * count)
+    return SurfaceExcess(lit, chi2 - count, bool(significant), chi2 / count if count else np.nan)
+
+
 def find_residual_pattern(
     residual_dn: FloatArray,
     weight: FloatArray,
@@ -80,12 +98,8 @@ def find_residual_pattern(
     gain : (q, n_line, n_pixel) array
         Change of each quantity of interest per DN in each pixel.
     """
-    lit = (light_dn > LIT_SHARE * light_dn.max(initial=0.0)) & (weight > 0.0)
-    count, q = int(lit.sum()), len(gain)
-    chi2 = float(np.sum((weight * residual_dn**2)[lit]))
-    reduced = chi2 / count if count else np.nan
-    excess = chi2 - count
-    if count < MIN_PIXELS or excess < SIGNIFICANT * np.sqrt(2.0 * count):
+    q, (lit, excess, significant, reduced) = len(gain), surface_excess(residual_dn, weight, light_dn)
+    if not significant:
         return ResidualPattern(0.0, 0.0, np.zeros((q, q)), reduced)
     part = _bounds(light_dn > 0.0)
     shown, inside = (light_dn * lit)[part], weight[part]
