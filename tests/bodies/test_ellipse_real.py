@@ -5,7 +5,7 @@ import pytest
 import spiceypy as spice
 
 from opnav_workbench.bodies import BodyFlag, BodyPicture, Circle
-from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+from opnav_workbench.bodies.ellipse import find_ellipse
 from opnav_workbench.bodies.lighting import fit_lighting
 from opnav_workbench.bodies.picture import picture_from_circle
 from opnav_workbench.bodies.silhouette import body_outline
