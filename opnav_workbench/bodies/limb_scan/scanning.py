@@ -31,6 +31,8 @@ __all__ = ["ScannedLimb", "scan_limb", "scan_reading", "undetermined_center"]
 # Farther than the PSF a limb's derivatives do not reach: then the scans are laid anew, `MOST_TURNS` times at the most.
 LONGEST_PX, MOST_TURNS = 1.0, 8
 MOSTLY = 0.5  # of the light on saturated pixels
+# Each scan has a brightness and a background of its own: light that the disk's model does not explain is no fault of theirs.
+SCATTERED_PX, SCATTERED_SHARE = 0.5, 0.02  # of the radius: a limb that scatters more is not that of the model
 SIZE = 2  # of the outline's step
 
 
@@ -138,6 +140,8 @@ def scan_reading(run: ScannedLimb, method: str) -> CenterReading:
     fit, solved = run.disk.fit, run.solved
     second = _farther_reading(run)
     away = second.pixel_line - run.center_px
+    own = np.median(run.sigma_px[solved.used])
+    scattered = bool(own > max(SCATTERED_PX, SCATTERED_SHARE * run.disk.radius_px))
     chosen, used, covered = (int(n.sum()) for n in (run.choice.chosen, solved.used, run.choice.covered))
     return CenterReading(
         method=method,
@@ -149,7 +153,7 @@ def scan_reading(run: ScannedLimb, method: str) -> CenterReading:
         chi2_reduced=solved.chi2_reduced,
         converged=fit.converged and float(np.hypot(*solved.step[:2])) < LONGEST_PX,
         second=second,
-        conditions={BodyFlag.OCCULTED: True} if covered else {},
+        conditions={BodyFlag.POOR_FIT: scattered, **({BodyFlag.OCCULTED: True} if covered else {})},
         notes={
             BodyFlag.OCCULTED: f"{covered} scans left out",
             BodyFlag.POOR_FIT: f"{chosen - used} of {chosen} scans rejected",
