@@ -49,16 +49,7 @@ def find_ellipse(
 ) -> BodyCenter:
     """Find a body's center of figure from its lit limb.
 
-    Parameters
-    ----------
-    name
-        A sphere, a triaxial ellipsoid or a shape model of `picture.models`.
-    circle
-        An analyst's; None: predicted place and size.
-    solve_range
-        Tell the range as well: that of a body of the model's size, with the uncertainty of that size.
-    search_radius_px
-        How far from the expected place to look; None: anywhere.
+    Parameters and errors as of `opnav_workbench.bodies.find_disk`.
 
     Returns
     -------
@@ -66,11 +57,6 @@ def find_ellipse(
         Method ``ellipse``; `detail` is a `LimbEllipse`. Status ``ok`` where the likelihood of the whole disk and the
         crossings of the limb confirm the center; ``uncertain`` (see `flags` and `messages`); ``not_detected``,
         ``off_detector``, ``saturated`` or ``failed`` without a center.
-
-    Raises
-    ------
-    CenterfindingError
-        No such body in the picture.
 
     Examples
     --------
