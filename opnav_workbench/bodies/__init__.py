@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from opnav_workbench.bodies.cross_correlation import find_cross_correlation
     from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
     from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
-    from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+    from opnav_workbench.bodies.ellipse import find_ellipse
     from opnav_workbench.bodies.judgement import confirmed_center
     from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
     from opnav_workbench.bodies.lighting import Lighting, fit_lighting
@@ -100,7 +100,7 @@ else:  # loaded on first use: most calls need a few of these
             "judged_disk": "disk.centerfinder",
             "MeasuredDisk": "disk.measurement",
             "measure_disk": "disk.measurement",
-            "find_ellipse": "ellipse.centerfinder",
+            "find_ellipse": "ellipse",
             "confirmed_center": "judgement",
             "find_jointly": "least_squares",
             "find_least_squares": "least_squares",

@@ -465,33 +465,27 @@ class LimbEllipse:
     Attributes
     ----------
     angle_rad : (n,) array
-        Of each piece of limb about the center, from +pixel toward +line.
+        Of each limb point about the center, from +pixel toward +line.
     points_px : (n, 2) array
         Observed limb (pixel, line); nan where none was found.
     predicted_px : (n, 2) array
-        The model's limb at the solution.
-    normal : (n, 2) array
-        Outward unit vectors.
+        The model's limb at the solution, on the same ray.
     residual_px, sigma_px : (n,) arrays
-        Observed minus predicted along the normal, and its noise.
-    height : (n,) array
-        Brightness, data over model.
+        Observed minus predicted along the ray, and its uncertainty from noise, albedo and roughness of the limb.
+    brightness : (n,) array
+        Data over model.
     status : (n,) array of str
         ``used``, ``not_chosen`` (no lit limb there) or ``rejected``.
     reason : (n,) array of str
-        Why not used, in plain words; empty for used ones.
+        Why, in plain words.
     outline_px : (m, 2) array
         The model's limb at the solution, all around.
     rms_px
         Of the residuals used.
     rough_px
-        Standard deviation of the limb about its model beyond the noise.
-    rough_arc_px
-        Length along the limb over which it is correlated.
+        Standard deviation of the limb about its model, as the data speak for it.
     lit_arc_rad
         Angle about the center that the points used cover.
-    covariance : (3, 3) array
-        Of center pixel, line (px) and logarithm of the range; zeros where the range was not solved for.
     km_per_px
         At the body's center.
     free
@@ -503,18 +497,15 @@ class LimbEllipse:
     angle_rad: FloatArray
     points_px: FloatArray
     predicted_px: FloatArray
-    normal: FloatArray
     residual_px: FloatArray
     sigma_px: FloatArray
-    height: FloatArray
+    brightness: FloatArray
     status: NDArray[np.str_]
     reason: NDArray[np.str_]
     outline_px: FloatArray
     rms_px: float
     rough_px: float
-    rough_arc_px: float
     lit_arc_rad: float
-    covariance: FloatArray
     km_per_px: float
     free: FreeEllipse | None
     iterations: tuple[tuple[float, float], ...]

@@ -137,17 +137,25 @@ def test_center_carries_the_part_across(process, surface):
 # -- size ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(keep=["least_squares"])
-@pytest.mark.parametrize("method", ["ellipse", "least_squares"])
-def test_apparent_size_carries_the_rest(process, method):
-    """The distance from the size alone: 4347 km nearer, within its sigma of dozens of kilometers."""
+def test_apparent_size_carries_the_rest(process):
+    """The distance from the size alone, of a body that is the model's: 4347 km nearer, its sigma dozens of kilometers."""
     session, scenario = process("uniform")
-    _, o = found(session, method)
+    _, o = found(session, "least_squares")
     true = true_range_km(session, scenario)
     assert o.range_km - true == pytest.approx(ALONG_KM, abs=20.0)
     assert abs(o.measured_range_km - true) < 4.0 * o.range_sigma_km
     assert 5.0 < o.range_sigma_km < 100.0
     assert o.measured_diameter_px - o.diameter_px == pytest.approx(0.33, abs=0.03)
+
+
+@pytest.mark.slow
+def test_a_size_that_nobody_knows_tells_no_distance(process):
+    """The limb's diameter is measured as well; a distance follows from it as well as the radii are known."""
+    session, scenario = process("uniform")
+    center, o = found(session, "ellipse")
+    assert o.measured_diameter_px - o.diameter_px == pytest.approx(0.33, abs=3.0 * center.diameter_sigma_px)
+    assert center.diameter_sigma_px < 0.1
+    assert o.range_sigma_km == pytest.approx(0.1 * true_range_km(session, scenario), rel=0.02)
 
 
 @pytest.mark.slow
@@ -169,7 +177,7 @@ def test_unknown_surface_makes_the_size_uncertain_but_not_wrong(process):
 def test_one_picture_gives_the_offset_and_the_flyby(process):
     """Estimation with the center and the size of one picture: 4500 km sunward, 1165 km in the B-plane, 315 s earlier."""
     session, _ = process("uniform")
-    _, o = found(session, "ellipse")
+    _, o = found(session, "least_squares")
     barycenter = state("NEW HORIZONS", o.et, "PLUTO BARYCENTER")
     offset = sunward_km(o.et)
     result = estimate([o], a_priori={"target_position": 1e4}, epoch_et=o.et)

