@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from opnav_workbench.bodies.disk.centerfinder import find_disk, judged_disk
     from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
     from opnav_workbench.bodies.ellipse import find_ellipse
-    from opnav_workbench.bodies.judgement import confirmed_center
     from opnav_workbench.bodies.least_squares import find_jointly, find_least_squares
     from opnav_workbench.bodies.lighting import Lighting, fit_lighting
     from opnav_workbench.bodies.limb_scan.centerfinder import find_limb_scan
@@ -101,7 +100,6 @@ else:  # loaded on first use: most calls need a few of these
             "MeasuredDisk": "disk.measurement",
             "measure_disk": "disk.measurement",
             "find_ellipse": "ellipse",
-            "confirmed_center": "judgement",
             "find_jointly": "least_squares",
             "find_least_squares": "least_squares",
             "find_limb_scan": "limb_scan.centerfinder",
@@ -158,7 +156,6 @@ __all__ = [
     "body_outline",
     "choose_method",
     "choose_subarray",
-    "confirmed_center",
     "describe_body_flags",
     "displaced_model",
     "find_cross_correlation",

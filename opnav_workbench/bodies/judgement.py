@@ -124,7 +124,7 @@ def difference_covariance(away_px: FloatArray) -> FloatArray:
 
 
 def confirmed_center(center: BodyCenter, disk: BodyCenter) -> BodyCenter:
-    """Return a center by the light of the whole disk, or of its limb, beside that of the disk's likelihood.
+    """Return a center by the light of the whole disk beside that of its likelihood.
 
     The center stays, its covariance holds half of the difference. It is unconfirmed where the difference is too far, or
     the likelihood has no center or one that is doubtful itself.

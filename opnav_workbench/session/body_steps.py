@@ -18,7 +18,6 @@ from opnav_workbench.bodies import (
     Circle,
     JointCenters,
     choose_method,
-    confirmed_center,
     find_cross_correlation,
     find_disk,
     find_ellipse,
@@ -114,18 +113,13 @@ def _center_as_lit(context: Context, inputs: Inputs, state: SessionState, reques
         return center
     if method == "limb_scan":
         return find_limb_scan(picture, name, scans=scan_numbers(state, request), **options)
-    # A body with a map of its albedo has a truer model than the likelihood's, which knows no Sun that is guessed, either.
+    if method == "ellipse":
+        return find_ellipse(picture, name, **options)
+    # A body with a map of its albedo has a truer model than the likelihood's.
     known = has_albedo_map(context, name)
     if method == "cross_correlation":
         return find_cross_correlation(picture, name, known_surface=known, **options)
-    if method == "least_squares":
-        return find_least_squares(
-            picture, name, solve_range=request.solve_range, known_surface=known, **options
-        )
-    center = find_ellipse(picture, name, **options)
-    if known or name in state.assisted or center.pixel_line is None:
-        return center
-    return confirmed_center(center, find_disk(picture, name, **options))
+    return find_least_squares(picture, name, solve_range=request.solve_range, known_surface=known, **options)
 
 
 def _otherwise(first: BodyCenter, other: BodyCenter) -> BodyCenter:

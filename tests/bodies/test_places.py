@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from opnav_workbench.bodies import BodyCenter, BodyFlag, confirmed_center, find_disk, find_least_squares
+from opnav_workbench.bodies import BodyCenter, BodyFlag, find_disk, find_least_squares
+from opnav_workbench.bodies.judgement import confirmed_center
 from opnav_workbench.bodies.place import (
     LimbCrossings,
     crossing_columns,
