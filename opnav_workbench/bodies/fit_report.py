@@ -140,9 +140,8 @@ def _body_center(context: _FitContext, index: int) -> BodyCenter:
         )
     scale_sigma = float(np.sqrt(fit.covariance[_scale_row(fit, index), _scale_row(fit, index)]))
     flags, messages = _judged(context, index)
-    range_km = context.detected.picture.model(name).target.range_km * float(
-        np.exp(fit.state.log_range[index])
-    )
+    target = context.detected.picture.model(name).target
+    range_km = target.range_km * float(np.exp(fit.state.log_range[index]))
     solved, log_sigma = bool(context.range_solved[index]), np.nan
     if solved:
         row = 2 * len(fit.state.names) + int(context.range_solved[:index].sum())
@@ -201,9 +200,9 @@ def _judged(context: _FitContext, index: int) -> tuple[BodyFlag, tuple[str, ...]
         BodyFlag.NOT_CONVERGED: not fit.converged,
     }
     flags = flags_where(conditions)
-    all_light = float(fit.light.flux_dn[index] * fit.state.scales[index])
+    cut_off = 1.0 - float(light.sum() / max(fit.light.flux_dn[index] * fit.state.scales[index], 1e-300))
     notes = {flag: f"{count} px" for flag, count in lost.items()} | {
-        BodyFlag.CUT_BY_EDGE: f"{100 * (1.0 - light.sum() / all_light):.0f} % of its light",
+        BodyFlag.CUT_BY_EDGE: f"{100 * cut_off:.0f} % of its light",
         BodyFlag.OCCULTED: f"{100 * hidden:.0f} % of its light",
         BodyFlag.POOR_FIT: f"the model explains {100 * explained:.0f} % of the light",
         BodyFlag.CIRCLE_MISFIT: size_words(size),
