@@ -215,7 +215,8 @@ def test_a_patchy_surface_is_not_taken_for_one_that_leans():
     disk = measure_disk(trial.picture, trial.name, "disk", None, None)
     away = disk.fit.center_px - trial.truth_px
     assert disk.fit.prior.albedo > 0.05
-    assert not disk.fit.made.strain[2:].any()
+    most = 2.0 * disk.fit.figure.axes_sigma  # what axes may be off by: tables that followed it went to 0.3
+    assert np.abs(disk.fit.made.strain[2:]).max() < most
     assert away @ np.linalg.solve(disk.fit.covariance_px2, away) < 3.0**2
     assert np.hypot(*away) < 0.2
 

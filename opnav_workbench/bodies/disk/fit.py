@@ -88,6 +88,7 @@ LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
 SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
 SHADING_SCALES = (1.0, 0.2)  # surfaces lean by what their axes say, or by less: the rest is albedo
+LEAN_SIGMAS = 2.0  # of that, as far as tables follow: a patchy surface is explained by far more, and led away
 # A step: as far as their derivatives reach. Light is linear in the share of a law, so that is taken whole.
 MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
 LEAST_BRIGHT = 0.5  # of light without what a law adds to it
@@ -395,6 +396,7 @@ class _DiskProblem:
         model = picture.model(name)
         self.can_be_strained = can_be_strained(model)
         self.figure: FigureUncertainty = model.seen_figure
+        self.most_lean = LEAN_SIGMAS * self.figure.axes_sigma * SHADING_SHARE
         self.law_prior = _law_prior(model)
         own = own_share(model.law, float(picture.phase_rad(name)))
         self.law_bounds = LAW_BOUNDS - [own, 0.0]
@@ -899,14 +901,15 @@ class _Fitter:
         part = most * min(1.0, *bounds)
         # A limb that lies elsewhere tells nothing of the light yet.
         near = part * (min(bounds) >= 1.0)
-        # What shading explains, the albedo of a patchy surface does as well: tables that follow it would be led away.
-        leaning = 0.0 if _is_uneven(self.prior) else near
-        parts = np.array([part, part, leaning, leaning, leaning])
+        strained = shape.strain + np.array([part, part, near, near, near]) * np.clip(
+            strain, -MOST_STRAIN, MOST_STRAIN
+        )
+        strained[2:] = np.clip(strained[2:], -self.problem.most_lean, self.problem.most_lean)
         law = np.clip(self._meant_law(linear), *self.problem.law_bounds)
         self.shape = DiskShape(
             shape.center_px + part * center,
             float(np.clip(shape.log_size + part * size, -LARGEST_LOG, LARGEST_LOG)),
-            shape.strain + parts * np.clip(strain, -MOST_STRAIN, MOST_STRAIN),
+            strained,
             shape.law + near * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
             self._bounded_blur(shape.blur_px2 + near * float(theta[Unknown.BLUR] - shape.blur_px2)),
             shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
