@@ -41,6 +41,8 @@ which suits a body.
     Bodies (and stars taken as targets) smaller than the PSF.
 ``method``
     Which method "auto" means.
+``free_ellipse``
+    An ellipse of any axes through limb points: the check of a body's radii.
 ``ellipse``
     Limb method: sub-pixel limb points, and the outline of the body through them.
 ``disk``

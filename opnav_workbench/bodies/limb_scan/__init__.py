@@ -4,6 +4,8 @@ Enter by `find_limb_scan`.
 
 ``centerfinder``
     The method: measured disk, scans about its center, judgement, what every scan showed.
+``scanning``
+    Scans until the outline stands still, and the center they agree with: what the limb scan and the ellipse share.
 ``fan``
     Where scans run, and pictures sampled along them.
 ``view``
