@@ -234,11 +234,8 @@ def _expected(
     picture: BodyPicture, name: str, search: SearchRequest, shift: FloatArray | None
 ) -> tuple[Circle | None, float | None]:
     """Return where a body is expected, and how far from there it is looked for."""
-    circle, center, radius = (
-        search.circles.get(name),
-        picture.center_px(name),
-        0.5 * picture.diameter_px(name),
-    )
+    circle = search.circles.get(name)
+    center, radius = picture.center_px(name), 0.5 * picture.diameter_px(name)
     if circle is not None or shift is None or not (radius > 0.0 and np.isfinite(center).all()):
         return circle, search.search_radius_px
     return Circle(center + shift, radius), search_radius(radius, None, search.search_radius_px)

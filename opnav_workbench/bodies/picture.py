@@ -197,6 +197,10 @@ class BodyPicture:
         """That of the light's own noise: infinite where no noise model says how light scatters."""
         return np.inf if self.noise_model is None else self.noise_model.gain_e_per_dn
 
+    def shown(self, part: tuple[slice, ...] = np.s_[:, :]) -> BoolArray:
+        """Tell which pixels (n_line, n_pixel) of a part of the picture show anything: saturated ones do, whatever else."""
+        return np.isfinite(self.signal_dn[part]) & (~self.bad[part] | self.saturated[part])
+
     def prediction(self, name: str) -> BodyPrediction:
         """Return where and how large a body is expected."""
         return predict_body(

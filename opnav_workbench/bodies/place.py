@@ -171,7 +171,7 @@ def _binned(
     high = np.clip(np.ceil(last) + 1, low, picture.signal_dn.shape[::-1])
     part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
     signal, noise_dn = picture.signal_dn[part], picture.noise_dn[part]
-    usable = np.isfinite(signal) & (~picture.bad[part] | picture.saturated[part])
+    usable = picture.shown(part)
     data = np.where(usable, signal, 0.0)
     count = block_reduce(usable.astype(np.float64), bins, np.sum)
     total = block_reduce(data, bins, np.sum)
@@ -454,7 +454,7 @@ def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Pro
 
 
 def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, BoolArray]:
-    usable = np.isfinite(picture.signal_dn) & (~picture.bad | picture.saturated)
+    usable = picture.shown()
     where = [places[..., 1], places[..., 0]]
     data = map_coordinates(np.where(usable, picture.signal_dn, 0.0), where, order=1, mode="nearest")
     n_line, n_pixel = usable.shape

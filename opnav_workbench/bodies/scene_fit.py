@@ -30,7 +30,6 @@ __all__ = [
     "SceneState",
     "fit_scene",
     "light_scene",
-    "range_derivatives",
     "solve_brightness",
     "turns_back",
 ]
@@ -77,12 +76,6 @@ class SceneState:
     def moved(self, centers: FloatArray, log_range: FloatArray) -> "SceneState":
         """Return the state with its bodies moved by (n, 2) px and (n,)."""
         return replace(self, centers_px=self.centers_px + centers, log_range=self.log_range + log_range)
-
-    def at(self, index: int, center_px: FloatArray, log_range: float) -> "SceneState":
-        """Return the state with one body somewhere else."""
-        centers, ranges = self.centers_px.copy(), self.log_range.copy()
-        centers[index], ranges[index] = center_px, log_range
-        return replace(self, centers_px=centers, log_range=ranges)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +183,7 @@ def _center_differences(
     return np.stack(moved) / CENTER_STEP_PX
 
 
-def range_derivatives(
+def _range_derivatives(
     picture: BodyPicture,
     window: tuple[int, int, int, int],
     state: SceneState,
@@ -253,9 +246,7 @@ MAX_STEP_PX = 2.0  # linear in the center no farther than the PSF and the limb's
 MAX_STEP_LOG = 0.25
 MAX_LOG_RANGE = 1.2  # a factor of 3.3
 FRESH_PX = 0.15  # derivatives that were taken farther away than this are taken anew
-TURNED = (
-    0.5  # a step back by this share of the last one: to and fro, with weights that change as the model does
-)
+TURNED = 0.5  # a step back by this share of the last one: to and fro, as weights change with the model
 GROWTH = 1.01  # chi-squared may grow so much in a step: the weights change with the model
 
 
@@ -336,7 +327,6 @@ def fit_scene(
     start: SceneState,
     *,
     solve_range: BoolArray | None = None,
-    reject_hits: bool = True,
 ) -> SceneFit:
     """Fit the bodies of `start` to the pixels of a cutout.
 
@@ -346,15 +336,15 @@ def fit_scene(
         Centers good to about the width of the PSF; its scales and level do not matter.
     solve_range : (n,) array of bool, optional
         Bodies whose range is solved for from their size.
-    reject_hits
-        Leave out pixels whose light is not that of the bodies (see `find_hit_pixels`), and fit again.
+
+    Pixels whose light is not that of the bodies (see `find_hit_pixels`) are left out, and the rest is fitted again.
     """
     wanted = np.zeros(len(start.names), dtype=bool) if solve_range is None else np.asarray(solve_range, bool)
     problem = _SceneProblem(picture, cutout, wanted)
     first = _minimize(
         problem, _linearised(problem, replace(start, scales=np.ones(len(start.names))), _no_hits(cutout))
     )
-    hits = find_hit_pixels(first.residual_dn, first.weight) if reject_hits else _no_hits(cutout)
+    hits = find_hit_pixels(first.residual_dn, first.weight)
     if not hits.any():
         return first
     again = _linearised(problem, first.state, hits)
@@ -414,7 +404,7 @@ def _linearised(
         changing, derived_at = known.columns[: 2 * n + problem.count] * ratio[:, None, None], known.derived_at
     else:
         moving = light.d_center * np.repeat(_ratio(state.scales, before), 2)[:, None, None]
-        sizes = range_derivatives(problem.picture, problem.cutout.window, state, light, problem.wanted)
+        sizes = _range_derivatives(problem.picture, problem.cutout.window, state, light, problem.wanted)
         changing, derived_at = np.concatenate([moving, sizes]), state.centers_px
     residual = problem.cutout.data_dn - light.total(state.scales) - state.level_dn
     columns = np.concatenate([changing, light.each, np.ones((1, *weight.shape))])

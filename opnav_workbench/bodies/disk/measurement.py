@@ -152,7 +152,10 @@ def placed_body(
         return BodyCenter.without_center(name, method, "failed", str(error))
     if place is not None:
         return picture, place
-    if not _shown(picture, choose_subarray(picture, name, circle, 0.0).slices):
+    seen = picture.shown(choose_subarray(picture, name, circle, 0.0).slices)
+    if (
+        seen.size and not seen.any()
+    ):  # beside the detector, where a body may end, there are none to be unusable
         nowhere = "no usable pixels where it is expected"
         return BodyCenter.without_center(name, method, "failed", nowhere, flags=int(BodyFlag.EMPTY))
     nothing = "nothing of its size and phase stands out of the sky"
@@ -188,12 +191,6 @@ def _beside_the_detector(
     if np.abs(center).max() > FAR_SIZES * size.max():
         where = "expected far outside the field"
     return f"{where}, {away:.0f} px off the {size[0]} x {size[1]} detector"
-
-
-def _shown(picture: BodyPicture, part: tuple[slice, slice]) -> bool:
-    """Tell whether a part of a picture has pixels that show anything; one beside the detector, where a body may end, has."""
-    seen = np.isfinite(picture.signal_dn[part]) & (~picture.bad[part] | picture.saturated[part])
-    return bool(seen.any()) or not seen.size
 
 
 def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:

@@ -66,8 +66,9 @@ class ScannedLimb:
     def statuses(self) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
         """Return status and reason of every scan, with those of rejected outliers."""
         status, reason = self.choice.status.astype("<U12"), self.choice.reason.astype("<U160")
+        sigmas = self.sigma_px
         for row in np.flatnonzero(self.choice.chosen & ~self.solved.used):
-            residual, sigma = self.solved.residual_px[row], self.sigma_px[row]
+            residual, sigma = self.solved.residual_px[row], sigmas[row]
             status[row] = REJECTED
             reason[row] = (
                 f"off by {residual:+.3f} px from the other scans, {abs(residual) / sigma:.1f} of its sigma"
