@@ -31,6 +31,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
     gathered,
     limb_pixels,
     limb_places,
+    piece_of,
 )
 from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
@@ -149,10 +150,15 @@ STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
 TABLES = len(PLANES)
+CHANGING = [
+    PLANES.index(one)
+    for one in ("blur", "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz")
+]
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
 ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), [-3, -2], -1
-# Columns of what moves with the limb, or lights it otherwise: as bright as it is there.
-LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, *SHADED, RELIEF]
+# Columns of what lights the limb otherwise: as bright as it is there. All others have that already, or are the disk's.
+LOCAL = [*SHARES, *SHADING, Unknown.BLUR, *SHADED, RELIEF]
+WHOLE = [*CENTER, *FIGURE, SHARED, *STRAY]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,6 +207,13 @@ class TabulatedDisk:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def tabulated(self) -> FloatArray:
+        """What of theta (p,) is in the tables of light already; 0 for all else."""
+        theta = np.zeros(SHARED)
+        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = self.shape.law, self.strain, self.shape.blur_px2
+        return theta
 
     def slant_at(self, angle_rad: FloatArray) -> FloatArray:
         """Return the outline's slope over its radius, without the heights of its pieces, at angles (m,)."""
@@ -282,13 +295,6 @@ class DiskFit:
         own = self.excess * self.solution.covariance[np.ix_(CENTER, CENTER)]
         return np.asarray(own + self.unrest_px2)
 
-    @property
-    def tabulated(self) -> FloatArray:
-        """What of theta (p,) is in the tables of light already; 0 for all else."""
-        theta, made = np.zeros(SHARED), self.made
-        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = made.shape.law, made.strain, made.shape.blur_px2
-        return theta
-
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""
         return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
@@ -305,7 +311,7 @@ class DiskFit:
         return np.asarray(self.light_dn() + self._beyond_tables_dn(self.brightness_dn))
 
     def _beyond_tables_dn(self, lit_dn: FloatArray | float) -> FloatArray:
-        beyond = self.solution.theta - self.tabulated
+        beyond = self.solution.theta - self.made.tabulated
         changing = [*SHARES, *SHADING, Unknown.BLUR]
         local = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
         return np.asarray(lit_dn * local + self.brightness_dn * (beyond[STRAY] @ self.columns[STRAY]))
@@ -362,11 +368,13 @@ def _columns_at(
     strain = (shape.strain[:2] - made.strain[:2]) @ waves
     grown = shape.log_size - made.shape.log_size + strain
     tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
-    m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
+    slope, turn, by_variance = tables[:3]
+    tables = tables[3:]
+    m0, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a
     # strain G the light loses x G grad L + v div G grad L (p * (x S) = x L + v grad L for a Gaussian p).
     reach = np.maximum(near.limb_px + near.depth_px, 1.0)
-    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([blur, blur - slope / reach])
+    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([by_variance, by_variance - slope / reach])
     size, in_plane = by_psf - slope * reach
     m0 = m0 + grown * by_psf[0] + strain * (by_psf[1] - by_psf[0])
     away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
@@ -382,7 +390,7 @@ def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) ->
     """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
     out = columns.copy()
     out[LOCAL] *= lit_dn
-    out[STRAY] *= brightness_dn
+    out[WHOLE] *= brightness_dn
     return out
 
 
@@ -406,7 +414,6 @@ class _DiskProblem:
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
-        self.in_sky = self.edges[:-1] > self.psf_px
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
@@ -671,18 +678,16 @@ class _Fitter:
         self._solve_at(celled, columns)
 
     def _solve_at(self, celled: _CelledSamples, columns: FloatArray) -> None:
-        """Solve, with cells of sky that no model reaches counting as much as their residuals say (Huber's weights).
+        """Solve, with cells that no model reaches counting as much as their residuals say (Huber's weights).
 
-        What shines there stays where it is while the outline and its cells move: each solution has to find it anew. Beside
-        that nothing changes from one solution to the next: a step that explains a surface is not to be told from one that
-        doubts it.
+        What no model explains stays where it is while the outline and its cells move. Each solution finds it anew: weights
+        of where a fit began would hide what is wrong there, and make every place but that one look worse.
         """
         for _ in range(MOST_DOUBTS):
             system = self._system(celled, columns)
             self.linear = _LinearDisk(system, celled, columns, system.solve(self.prior, self._held()))
             self.celled = celled
-            before, found = self.doubt, self._doubts(self.linear)
-            self.doubt = np.where(self.problem.in_sky, found, before)
+            before, self.doubt = self.doubt, self._doubts(self.linear)
             if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
                 break
 
@@ -710,7 +715,7 @@ class _Fitter:
     def _tune(self, *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         before = self.linear.solution.log_likelihood
-        self._doubt()
+        self._doubt_patches()
         best, system = self._tuned(), self.linear.system
         if other_light and _is_uneven(best.prior):  # else there is nothing to explain
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
@@ -766,10 +771,9 @@ class _Fitter:
         beyond = np.sum(count * (square - mean**2) - free * expected, axis=1)
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
 
-    def _doubt(self) -> None:
-        """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
+    def _doubt_patches(self) -> None:
+        """Solve anew with patchy cells counting less."""
         linear = self.linear
-        self.doubt = self._doubts(linear)
         self.patchy = self._patchiness(linear.celled, linear.columns)
         self._solve_at(linear.celled, linear.columns)
 
@@ -846,9 +850,11 @@ class _Fitter:
         """Tabulate the light of the shape; where that is less likely than the last tables were, go half as far from them.
 
         A law that tables are extrapolated to, with an albedo that is on the light they hold, may be no light of any body,
-        and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
+        and still explain the pixels: what was tabulated is compared, unless steps have led to less. It tells whether the
+        tables are new.
         """
         kept, then, now = self._state(), self.made.shape, self.shape
+        least = min(self.likelihood, self.linear.solution.log_likelihood)
         for share in HALFWAY:
             self.shape = replace(
                 now,
@@ -857,13 +863,14 @@ class _Fitter:
                 blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
             both = fine and not self.made.light.fine  # which light the albedo is on is asked once more
-            self.made = self.problem.tabulated(
+            made = self.problem.tabulated(
                 self.shape, fine=fine, on_slopes=None if both else self.prior.on_slopes
             )
+            self.made = self._sloped(made, None)
             self._solve()
             self._reweigh()
             likelihood = self.linear.solution.log_likelihood
-            if likelihood > self.likelihood - 0.5 * self._lost():
+            if likelihood > least - 0.5 * self._lost():
                 self.likelihood = likelihood
                 return True
         if not fine:
@@ -942,7 +949,24 @@ class _Fitter:
         Noise, grain and albedo go with that: a start whose pieces are all alike would look better than any step from it.
         """
         self._relight(self.linear)
-        self._solve_at(self.linear.celled, self.linear.columns)
+        self._solve()
+
+    def _sloped(self, made: TabulatedDisk, linear: _LinearDisk | None) -> TabulatedDisk:
+        """Return tables with the slopes of the light that a solution means; None: of the one that they were made with.
+
+        Steps along the slopes of other light lead away from what they are to explain, and come to rest where nothing is
+        explained. Of the albedo the slopes have what it is at the limb: patches have slopes of their own, and a limb that
+        follows these takes their edges for itself.
+        """
+        light = made.light
+        lit = self.piece_albedo[piece_of(light.angle_rad, self.problem.pieces)]
+        shares = np.zeros((len(lit), light.tables.shape[2]))
+        shares[:, PLANES.index("light")] = lit
+        if linear is not None:
+            theta, known = linear.solution.theta, made.tabulated
+            shares[:, CHANGING] = np.multiply.outer(lit, (theta - known)[[Unknown.BLUR, *SHARES, *STRAINED]])
+            shares[:, [PLANES.index("wings"), PLANES.index("halo")]] = theta[STRAY]
+        return replace(made, light=light.sloped(shares))
 
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
@@ -954,6 +978,7 @@ class _Fitter:
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
+        self.made = self._sloped(self.made, linear)
 
     def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.

@@ -36,7 +36,7 @@ from opnav_workbench.render.body import PlacedBody
 __all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share", "psf_variance"]
 
 PLANES = (
-    "light", "by_depth", "by_angle", "blur", "wings", "halo",
+    "light", "blur", "wings", "halo",
     "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz",
     "relief",
 )  # fmt: skip
@@ -75,12 +75,12 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (t, n, 14 + k) or (t, n, 14 + 2 k) array
-        First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
-        axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
-        shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
-        plane, xx = -yy and xy; and the light of slopes that face the Sun, `RELIEF`. Then the light of each hat function
-        of the albedo, whose sum is the light, and that of the same hats on slopes that face the Sun; or one of both.
+    tables : (t, n, 12 + k) or (t, n, 12 + 2 k) array
+        First as `PLANES`: light, its change with the PSF's variance (px^2 along each axis), with the shares of light that
+        go to wings and to a halo, with the two shares of the law, and with the shading of a strained body: x along pixel,
+        y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy; and the light of
+        slopes that face the Sun, `RELIEF`. Then the light of each hat function of the albedo, whose sum is the light, and
+        that of the same hats on slopes that face the Sun; or one of both.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
@@ -91,6 +91,10 @@ class LimbLight:
         Which hats there are; None: both.
     psf_variance_px2
         Of the PSF over a pixel, along each axis.
+    limb_px : (t,) array
+        Radius of the outline.
+    slopes : (t, n, 3) array
+        Of a light that the tables make up (`sloped`): its change with depth, with the angle, and with the PSF's variance.
     """
 
     first_px: float
@@ -101,9 +105,24 @@ class LimbLight:
     law_means: FloatArray
     on_slopes: bool | None
     psf_variance_px2: float
+    limb_px: FloatArray
+    slopes: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    @property
+    def angle_rad(self) -> FloatArray:
+        """Directions of the tables (t,)."""
+        return np.asarray(np.arange(len(self.tables)) * (TURN / len(self.tables)))
+
+    def sloped(self, shares: FloatArray) -> "LimbLight":
+        """Return the same light, with the slopes of what `shares` (t, p) of its tables make up."""
+        beside = np.stack([shares, np.roll(shares, -1, axis=0), np.roll(shares, 1, axis=0)], axis=2)
+        light, before, after = np.moveaxis(np.matmul(self.tables, beside), 2, 0)
+        # What the shares change by along the limb is no light of the piece that a cell is of.
+        around = np.roll(before, 1, axis=0), np.roll(after, -1, axis=0)
+        return replace(self, slopes=_steepness(light, *around, self.limb_px, self.first_px, self.step_px))
 
     def hats_of(self, rows: FloatArray, *, on_slopes: bool) -> FloatArray:
         """Return the light of the hats (k, m), on slopes that face the Sun or not, of what `at` returns (p, m)."""
@@ -113,7 +132,7 @@ class LimbLight:
         return rows[first + k :] if on_slopes and self.on_slopes is None else rows[first : first + k]
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
-        """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
+        """Return the tables, or as many of them as `first` says, at m places as (p, m); all: the slopes before them."""
         t, n, count = self.tables.shape
         row = np.mod(angle_rad, TURN) * (t / TURN)
         column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
@@ -130,7 +149,10 @@ class LimbLight:
         places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
         lookup = sparse.csr_array(places, shape=(len(row), t * n))
         nodes = self.tables.reshape(t * n, count)[:, :first]
-        return np.ascontiguousarray((lookup @ nodes).T)
+        found = np.ascontiguousarray((lookup @ nodes).T)
+        if first is not None:
+            return found
+        return np.concatenate([(lookup @ self.slopes.reshape(t * n, -1)).T, found])
 
     def over(self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray) -> FloatArray:
         """Return the tables as means over depths (p, m) that have `spread_px` (m,) as their sigma: two points hold it."""
@@ -213,16 +235,35 @@ def limb_light(
     total = tables[0]
     law_means = tables[1:3].sum(axis=(1, 2)) / max(float(total.sum()), np.finfo(float).tiny)
     tables[1:3] -= law_means[:, None, None] * total
-    by_depth = np.gradient(total, step, axis=1)
-    by_angle = (np.roll(total, -1, axis=0) - np.roll(total, 1, axis=0)) * (0.5 * directions / TURN)
-    reach = np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
-    bend = (np.roll(total, 1, axis=0) + np.roll(total, -1, axis=0) - 2.0 * total) * (directions / TURN) ** 2
-    blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
+    limb = outline.radius(angle)
+    slopes = _steepness(
+        total, np.roll(total, 1, axis=0), np.roll(total, -1, axis=0), limb, float(first), step
+    )
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
-    every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
+    every = np.concatenate([np.stack([total, slopes[..., 2], *wide]), tables[1:]])
     kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     variance = psf_variance(picture.psf, blur_px2)
-    return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance)
+    return LimbLight(
+        float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance, limb, slopes
+    )
+
+
+def _steepness(
+    light: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    limb_px: FloatArray,
+    first_px: float,
+    step_px: float,
+) -> FloatArray:
+    """Return `LimbLight.slopes` of light (t, n), and of what it is a direction before and after."""
+    t, n = light.shape
+    by_depth = np.gradient(light, step_px, axis=1)
+    by_angle = (after - before) * (0.5 * t / TURN)
+    reach = np.maximum(limb_px[:, None] + first_px + step_px * np.arange(n), 1.0)
+    bend = (before + after - 2.0 * light) * (t / TURN) ** 2
+    by_variance = 0.5 * (np.gradient(by_depth, step_px, axis=1) + by_depth / reach + bend / reach**2)
+    return np.stack([by_depth, by_angle, by_variance], axis=2)
 
 
 def psf_variance(psf: Psf, blur_px2: float = 0.0) -> float:

@@ -271,7 +271,7 @@ def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
     """
     own = [Unknown[name.upper()] for name in UNSURE]
     variance, modes = np.linalg.eigh(fit.solution.covariance[np.ix_(own, own)])
-    return (fit.solution.theta - fit.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
+    return (fit.solution.theta - fit.made.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
 
 
 def _saturation_dn(picture: BodyPicture) -> float:
