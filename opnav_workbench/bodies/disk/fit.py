@@ -31,7 +31,6 @@ from opnav_workbench.bodies.disk.limb_cells import (
     gathered,
     limb_pixels,
     limb_places,
-    piece_of,
 )
 from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
@@ -149,16 +148,12 @@ SHARES = [Unknown.LAW, Unknown.LAW_2]
 STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
+MEANT = [Unknown.BLUR, *STRAY, *SHARES, *STRAINED]  # of theta: shares of the planes between light and relief
 TABLES = len(PLANES)
-CHANGING = [
-    PLANES.index(one)
-    for one in ("blur", "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz")
-]
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
 ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), [-3, -2], -1
-# Columns of what lights the limb otherwise: as bright as it is there. All others have that already, or are the disk's.
-LOCAL = [*SHARES, *SHADING, Unknown.BLUR, *SHADED, RELIEF]
-WHOLE = [*CENTER, *FIGURE, SHARED, *STRAY]
+# Columns of what moves with the limb, or lights it otherwise: as bright as it is there.
+LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, *SHADED, RELIEF]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,6 +210,11 @@ class TabulatedDisk:
         theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = self.shape.law, self.strain, self.shape.blur_px2
         return theta
 
+    def sloped(self, theta: FloatArray) -> "TabulatedDisk":
+        """Return tables with the slopes of the light that a solution (p,) means, not of the one they were made with."""
+        shares = np.append(1.0, (theta - self.tabulated)[MEANT])
+        return replace(self, light=self.light.sloped(shares))
+
     def slant_at(self, angle_rad: FloatArray) -> FloatArray:
         """Return the outline's slope over its radius, without the heights of its pieces, at angles (m,)."""
         n = len(self.slant)
@@ -259,6 +259,8 @@ class DiskFit:
         Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
+    extrapolated
+        Whether the light that the solution means is far from what was tabulated.
     """
 
     shape: DiskShape
@@ -280,6 +282,7 @@ class DiskFit:
     converged: bool
     excess: float = 1.0
     unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    extrapolated: bool = False
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -367,9 +370,8 @@ def _columns_at(
     waves = Outline.waves(near.angle_rad, made.slant_at(near.angle_rad))
     strain = (shape.strain[:2] - made.strain[:2]) @ waves
     grown = shape.log_size - made.shape.log_size + strain
-    tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
-    slope, turn, by_variance = tables[:3]
-    tables = tables[3:]
+    slopes, tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
+    slope, turn, by_variance = slopes
     m0, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a
     # strain G the light loses x G grad L + v div G grad L (p * (x S) = x L + v grad L for a Gaussian p).
@@ -390,7 +392,7 @@ def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) ->
     """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
     out = columns.copy()
     out[LOCAL] *= lit_dn
-    out[WHOLE] *= brightness_dn
+    out[STRAY] *= brightness_dn
     return out
 
 
@@ -414,6 +416,7 @@ class _DiskProblem:
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
         self.sharp_px = SHARP_SIGMAS * self.psf_px
+        self.in_sky = self.edges[:-1] > self.psf_px
         self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
@@ -514,8 +517,17 @@ def fit_disk(
     place: BodyPlace,
     pixels: DiskPixels,
     start: DiskFit | None = None,
+    *,
+    follows_light: bool = False,
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
+
+    Parameters
+    ----------
+    follows_light
+        Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
+        differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
+        hold on to the limb, and these are led away.
 
     Raises
     ------
@@ -527,7 +539,7 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    return _Fitter(problem, shape, start).run()
+    return _Fitter(problem, shape, start, follows_light=follows_light).run()
 
 
 def _is_uneven(prior: FieldPrior) -> bool:
@@ -589,8 +601,10 @@ class _FitState(NamedTuple):
 
 
 class _Fitter:
-    def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
-        self.problem = problem
+    def __init__(
+        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool
+    ) -> None:
+        self.problem, self.follows_light = problem, follows_light
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
@@ -659,6 +673,14 @@ class _Fitter:
             converged=self.converged,
             excess=self._excess(),
             unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
+            extrapolated=self._stale(NEW, self._meant()),
+        )
+
+    def _meant(self) -> DiskShape:
+        """Return the shape with the light that the solution means."""
+        theta = self.linear.solution.theta
+        return replace(
+            self.shape, strain=theta[STRAINED], law=theta[SHARES], blur_px2=float(theta[Unknown.BLUR])
         )
 
     def _chi2_reduced(self) -> float:
@@ -678,16 +700,18 @@ class _Fitter:
         self._solve_at(celled, columns)
 
     def _solve_at(self, celled: _CelledSamples, columns: FloatArray) -> None:
-        """Solve, with cells that no model reaches counting as much as their residuals say (Huber's weights).
+        """Solve, with cells of sky that no model reaches counting as much as their residuals say (Huber's weights).
 
-        What no model explains stays where it is while the outline and its cells move. Each solution finds it anew: weights
-        of where a fit began would hide what is wrong there, and make every place but that one look worse.
+        What shines there stays where it is while the outline and its cells move: each solution has to find it anew. Beside
+        that nothing changes from one solution to the next: a step that explains a surface is not to be told from one that
+        doubts it.
         """
         for _ in range(MOST_DOUBTS):
             system = self._system(celled, columns)
             self.linear = _LinearDisk(system, celled, columns, system.solve(self.prior, self._held()))
             self.celled = celled
-            before, self.doubt = self.doubt, self._doubts(self.linear)
+            before, found = self.doubt, self._doubts(self.linear)
+            self.doubt = np.where(self.problem.in_sky, found, before)
             if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
                 break
 
@@ -715,7 +739,7 @@ class _Fitter:
     def _tune(self, *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
         before = self.linear.solution.log_likelihood
-        self._doubt_patches()
+        self._doubt()
         best, system = self._tuned(), self.linear.system
         if other_light and _is_uneven(best.prior):  # else there is nothing to explain
             kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
@@ -771,9 +795,10 @@ class _Fitter:
         beyond = np.sum(count * (square - mean**2) - free * expected, axis=1)
         return np.asarray(np.maximum(beyond, 0.0) / np.maximum(free.sum(axis=1), 1.0))
 
-    def _doubt_patches(self) -> None:
-        """Solve anew with patchy cells counting less."""
+    def _doubt(self) -> None:
+        """Let cells that no model reaches count as much as their residuals say (Huber's weights), and patchy ones less."""
         linear = self.linear
+        self.doubt = self._doubts(linear)
         self.patchy = self._patchiness(linear.celled, linear.columns)
         self._solve_at(linear.celled, linear.columns)
 
@@ -850,11 +875,9 @@ class _Fitter:
         """Tabulate the light of the shape; where that is less likely than the last tables were, go half as far from them.
 
         A law that tables are extrapolated to, with an albedo that is on the light they hold, may be no light of any body,
-        and still explain the pixels: what was tabulated is compared, unless steps have led to less. It tells whether the
-        tables are new.
+        and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
         """
         kept, then, now = self._state(), self.made.shape, self.shape
-        least = min(self.likelihood, self.linear.solution.log_likelihood)
         for share in HALFWAY:
             self.shape = replace(
                 now,
@@ -863,14 +886,13 @@ class _Fitter:
                 blur_px2=then.blur_px2 + share * (now.blur_px2 - then.blur_px2),
             )
             both = fine and not self.made.light.fine  # which light the albedo is on is asked once more
-            made = self.problem.tabulated(
+            self.made = self.problem.tabulated(
                 self.shape, fine=fine, on_slopes=None if both else self.prior.on_slopes
             )
-            self.made = self._sloped(made, None)
             self._solve()
             self._reweigh()
             likelihood = self.linear.solution.log_likelihood
-            if likelihood > least - 0.5 * self._lost():
+            if likelihood > self.likelihood - 0.5 * self._lost():
                 self.likelihood = likelihood
                 return True
         if not fine:
@@ -949,24 +971,10 @@ class _Fitter:
         Noise, grain and albedo go with that: a start whose pieces are all alike would look better than any step from it.
         """
         self._relight(self.linear)
-        self._solve()
-
-    def _sloped(self, made: TabulatedDisk, linear: _LinearDisk | None) -> TabulatedDisk:
-        """Return tables with the slopes of the light that a solution means; None: of the one that they were made with.
-
-        Steps along the slopes of other light lead away from what they are to explain, and come to rest where nothing is
-        explained. Of the albedo the slopes have what it is at the limb: patches have slopes of their own, and a limb that
-        follows these takes their edges for itself.
-        """
-        light = made.light
-        lit = self.piece_albedo[piece_of(light.angle_rad, self.problem.pieces)]
-        shares = np.zeros((len(lit), light.tables.shape[2]))
-        shares[:, PLANES.index("light")] = lit
-        if linear is not None:
-            theta, known = linear.solution.theta, made.tabulated
-            shares[:, CHANGING] = np.multiply.outer(lit, (theta - known)[[Unknown.BLUR, *SHARES, *STRAINED]])
-            shares[:, [PLANES.index("wings"), PLANES.index("halo")]] = theta[STRAY]
-        return replace(made, light=light.sloped(shares))
+        if self.follows_light:
+            self._solve()
+        else:
+            self._solve_at(self.linear.celled, self.linear.columns)
 
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
@@ -978,7 +986,8 @@ class _Fitter:
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
-        self.made = self._sloped(self.made, linear)
+        if self.follows_light:
+            self.made = self.made.sloped(linear.solution.theta)
 
     def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.
@@ -998,9 +1007,9 @@ class _Fitter:
         whole = self.problem.psf_variance_px2
         return float(np.clip(blur_px2, -MOST_BLUR[0] * whole, MOST_BLUR[1] * whole))
 
-    def _stale(self, bounds: Changes) -> bool:
-        """Whether the light was tabulated for another shape than the present one."""
-        now, then = self.shape, self.made.shape
+    def _stale(self, bounds: Changes, shape: DiskShape | None = None) -> bool:
+        """Whether the light was tabulated for another shape than the present one, or than another."""
+        now, then = shape or self.shape, self.made.shape
         strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
         blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)

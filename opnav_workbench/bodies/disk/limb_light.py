@@ -41,6 +41,7 @@ PLANES = (
     "relief",
 )  # fmt: skip
 LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
+SLOPES = ("by_depth", "by_angle", "by_variance")
 
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
@@ -94,7 +95,8 @@ class LimbLight:
     limb_px : (t,) array
         Radius of the outline.
     slopes : (t, n, 3) array
-        Of a light that the tables make up (`sloped`): its change with depth, with the angle, and with the PSF's variance.
+        As `SLOPES`, of a light that the tables make up (`sloped`): its change with depth, with the angle, and with the PSF's
+        variance, px^2 along each axis.
     """
 
     first_px: float
@@ -111,18 +113,10 @@ class LimbLight:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    @property
-    def angle_rad(self) -> FloatArray:
-        """Directions of the tables (t,)."""
-        return np.asarray(np.arange(len(self.tables)) * (TURN / len(self.tables)))
-
     def sloped(self, shares: FloatArray) -> "LimbLight":
-        """Return the same light, with the slopes of what `shares` (t, p) of its tables make up."""
-        beside = np.stack([shares, np.roll(shares, -1, axis=0), np.roll(shares, 1, axis=0)], axis=2)
-        light, before, after = np.moveaxis(np.matmul(self.tables, beside), 2, 0)
-        # What the shares change by along the limb is no light of the piece that a cell is of.
-        around = np.roll(before, 1, axis=0), np.roll(after, -1, axis=0)
-        return replace(self, slopes=_steepness(light, *around, self.limb_px, self.first_px, self.step_px))
+        """Return the same light, with the slopes of what `shares` (p,) of its first tables make up."""
+        light = self.tables[..., : len(shares)] @ shares
+        return replace(self, slopes=_steepness(light, self.limb_px, self.first_px, self.step_px))
 
     def hats_of(self, rows: FloatArray, *, on_slopes: bool) -> FloatArray:
         """Return the light of the hats (k, m), on slopes that face the Sun or not, of what `at` returns (p, m)."""
@@ -132,8 +126,27 @@ class LimbLight:
         return rows[first + k :] if on_slopes and self.on_slopes is None else rows[first : first + k]
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
-        """Return the tables, or as many of them as `first` says, at m places as (p, m); all: the slopes before them."""
-        t, n, count = self.tables.shape
+        """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
+        return self._looked_up(angle_rad, depth_px, self.tables[..., :first])
+
+    def over(
+        self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return slopes (3, m) and tables (p, m) as means over depths that have `spread_px` (m,) as their sigma.
+
+        Two points hold it.
+        """
+        both = self.slopes, self.tables
+        wide = np.nonzero(spread_px)[0]
+        out = self._looked_up(angle_rad, depth_px - spread_px, *both)
+        if len(wide):
+            out[:, wide] += self._looked_up(angle_rad[wide], depth_px[wide] + spread_px[wide], *both)
+            out[:, wide] *= 0.5
+        return out[: len(SLOPES)], out[len(SLOPES) :]
+
+    def _looked_up(self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray) -> FloatArray:
+        """Return planes (t, n, p) at m places, one below the other (p, m)."""
+        t, n, _ = self.tables.shape
         row = np.mod(angle_rad, TURN) * (t / TURN)
         column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
         i, j = row.astype(np.int64), column.astype(np.int64)
@@ -148,20 +161,8 @@ class LimbLight:
         ends = np.arange(len(row) + 1) * len(index)
         places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
         lookup = sparse.csr_array(places, shape=(len(row), t * n))
-        nodes = self.tables.reshape(t * n, count)[:, :first]
-        found = np.ascontiguousarray((lookup @ nodes).T)
-        if first is not None:
-            return found
-        return np.concatenate([(lookup @ self.slopes.reshape(t * n, -1)).T, found])
-
-    def over(self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray) -> FloatArray:
-        """Return the tables as means over depths (p, m) that have `spread_px` (m,) as their sigma: two points hold it."""
-        wide = np.nonzero(spread_px)[0]
-        out = self.at(angle_rad, depth_px - spread_px)
-        if len(wide):
-            out[:, wide] += self.at(angle_rad[wide], depth_px[wide] + spread_px[wide])
-            out[:, wide] *= 0.5
-        return out
+        found = [(lookup @ plane.reshape(t * n, -1)).T for plane in planes]
+        return np.ascontiguousarray(np.concatenate(found))
 
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -236,9 +237,7 @@ def limb_light(
     law_means = tables[1:3].sum(axis=(1, 2)) / max(float(total.sum()), np.finfo(float).tiny)
     tables[1:3] -= law_means[:, None, None] * total
     limb = outline.radius(angle)
-    slopes = _steepness(
-        total, np.roll(total, 1, axis=0), np.roll(total, -1, axis=0), limb, float(first), step
-    )
+    slopes = _steepness(total, limb, float(first), step)
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
     every = np.concatenate([np.stack([total, slopes[..., 2], *wide]), tables[1:]])
     kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
@@ -248,16 +247,10 @@ def limb_light(
     )
 
 
-def _steepness(
-    light: FloatArray,
-    before: FloatArray,
-    after: FloatArray,
-    limb_px: FloatArray,
-    first_px: float,
-    step_px: float,
-) -> FloatArray:
-    """Return `LimbLight.slopes` of light (t, n), and of what it is a direction before and after."""
+def _steepness(light: FloatArray, limb_px: FloatArray, first_px: float, step_px: float) -> FloatArray:
+    """Return `LimbLight.slopes` of light (t, n)."""
     t, n = light.shape
+    before, after = np.roll(light, 1, axis=0), np.roll(light, -1, axis=0)
     by_depth = np.gradient(light, step_px, axis=1)
     by_angle = (after - before) * (0.5 * t / TURN)
     reach = np.maximum(limb_px[:, None] + first_px + step_px * np.arange(n), 1.0)
