@@ -602,7 +602,7 @@ class _FitState(NamedTuple):
 
 class _Fitter:
     def __init__(
-        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool
+        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
     ) -> None:
         self.problem, self.follows_light = problem, follows_light
         self.lengths: list[float] = []
