@@ -59,7 +59,7 @@ def test_the_light_of_a_square_is_that_of_its_pixels(disk):
         PixelSquares(pixels_of(light), outline, 30.0), outline, INWARD_PX, OUTWARD_PX, SHARP_PX
     )
     places = samples.places
-    model = tables.over(places.angle_rad, places.depth_px, samples.spread_px)[0]
+    model = tables.over(places.angle_rad, places.depth_px, samples.spread_px)[1][0]
     scale = float(model @ samples.data_dn / (model @ model))
     lit = model > 0.2 * model.max()
     for side in (2.0, 4.0, 8.0):

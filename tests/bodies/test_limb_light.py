@@ -68,6 +68,29 @@ def test_one_light_of_the_hats_is_that_of_both(body_stage, diameter):
             one.hats_of(one.at(angle, depth), on_slopes=not on_slopes)
 
 
+def test_slopes_are_those_of_the_light_that_shares_make_up(body_stage):
+    """Of a light with more of another law, beside differences of the light itself."""
+    model = body_stage.body(60.0, 50.0, CENTER)
+    picture = body_stage.picture(body_stage.light(model), [model])
+    outline, nodes = Silhouette(picture, "BODY").at(CENTER), np.linspace(0.0, 0.6, 5)
+    light = limb_light(picture, "BODY", outline, 1.0, (12.0, 8.0), nodes, np.zeros(2), np.zeros(5), fine=True)
+    shares = np.zeros(len(PLANES))
+    shares[[0, PLANES.index("law")]] = 1.0, 0.4
+    angle, depth, zero = np.linspace(0.0, 6.2, 200), np.linspace(-9.0, 5.0, 200), np.zeros(200)
+
+    def beside(turn, step):
+        return shares @ light.at(angle + turn, depth + step, len(PLANES))
+
+    by_depth = (beside(0.0, 0.25) - beside(0.0, -0.25)) / 0.5
+    by_angle = (beside(0.03, 0.0) - beside(-0.03, 0.0)) / 0.06
+    found = light.sloped(shares).over(angle, depth, zero)[0]
+    plain = light.over(angle, depth, zero)[0]
+    for own, expected, of_tables in zip(found, (by_depth, by_angle), plain, strict=False):
+        error = np.sqrt(np.mean((own - expected) ** 2))
+        assert error < 0.05 * np.sqrt(np.mean(expected**2))
+        assert error < 0.2 * np.sqrt(np.mean((of_tables - expected) ** 2))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter", "phase", "axes"), [(18.0, 120.0, (1.0, 1.0, 1.0)), (50.0, 80.0, (1.12, 1.0, 0.88))]
@@ -139,3 +162,34 @@ def test_edges_within_pieces_of_limb_draw_no_center_along():
     error = fit.center_px - trial.truth_px
     assert error @ np.linalg.solve(fit.covariance_px2, error) < 14.0
     assert np.hypot(*error) < 0.15  # 0.12, and 0.20 at 2.4 sigma without
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("setup", "most_px"),
+    [
+        # 0.50 px off and 8.7 sigma: steps along the slopes of the tables, far from the light that was meant, rested there.
+        (
+            TrialSetup(
+                661268706, 296.9, 18.2, family="uniform", contrast=1.0, law="lommel_seeliger", figure_error=0.041,
+                figure_pattern=(-0.808, 0.061, 1.0), peak_dn=2144.9, psf="width", displacement_px=0.4,
+            ),
+            0.06,
+        ),
+        # Of another kind of surface and phase: 1.6 px and 12 sigma off.
+        (
+            TrialSetup(
+                80, 420.0, 30.0, family="field_mid", contrast=3.0, law="hapke_dark", figure_error=0.05,
+                figure_pattern=(1.0, -0.6, -0.3), peak_dn=1500.0, psf="width", displacement_px=3.0,
+            ),
+            0.3,
+        ),
+    ],
+)  # fmt: skip
+def test_a_fit_goes_along_the_light_that_it_means(setup, most_px):
+    trial = make_trial(setup)
+    found = find_disk(trial.picture, trial.name)
+    error = found.pixel_line - trial.truth_px
+    assert found.status == "ok"
+    assert np.hypot(*error) < most_px, error
+    assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0

@@ -148,6 +148,7 @@ SHARES = [Unknown.LAW, Unknown.LAW_2]
 STRAY = [Unknown.WINGS, Unknown.HALO]
 SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
 STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
+MEANT = [Unknown.BLUR, *STRAY, *SHARES, *STRAINED]  # of theta: shares of the planes between light and relief
 TABLES = len(PLANES)
 # Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
 ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), [-3, -2], -1
@@ -202,6 +203,18 @@ class TabulatedDisk:
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
+    @property
+    def tabulated(self) -> FloatArray:
+        """What of theta (p,) is in the tables of light already; 0 for all else."""
+        theta = np.zeros(SHARED)
+        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = self.shape.law, self.strain, self.shape.blur_px2
+        return theta
+
+    def sloped(self, theta: FloatArray) -> "TabulatedDisk":
+        """Return tables with the slopes of the light that a solution (p,) means, not of the one they were made with."""
+        shares = np.append(1.0, (theta - self.tabulated)[MEANT])
+        return replace(self, light=self.light.sloped(shares))
+
     def slant_at(self, angle_rad: FloatArray) -> FloatArray:
         """Return the outline's slope over its radius, without the heights of its pieces, at angles (m,)."""
         n = len(self.slant)
@@ -246,6 +259,8 @@ class DiskFit:
         Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
+    extrapolated
+        Whether the light that the solution means is far from what was tabulated.
     """
 
     shape: DiskShape
@@ -267,6 +282,7 @@ class DiskFit:
     converged: bool
     excess: float = 1.0
     unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    extrapolated: bool = False
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -281,13 +297,6 @@ class DiskFit:
         """Covariance of the center (2, 2), marginal over all else."""
         own = self.excess * self.solution.covariance[np.ix_(CENTER, CENTER)]
         return np.asarray(own + self.unrest_px2)
-
-    @property
-    def tabulated(self) -> FloatArray:
-        """What of theta (p,) is in the tables of light already; 0 for all else."""
-        theta, made = np.zeros(SHARED), self.made
-        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = made.shape.law, made.strain, made.shape.blur_px2
-        return theta
 
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""
@@ -305,7 +314,7 @@ class DiskFit:
         return np.asarray(self.light_dn() + self._beyond_tables_dn(self.brightness_dn))
 
     def _beyond_tables_dn(self, lit_dn: FloatArray | float) -> FloatArray:
-        beyond = self.solution.theta - self.tabulated
+        beyond = self.solution.theta - self.made.tabulated
         changing = [*SHARES, *SHADING, Unknown.BLUR]
         local = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
         return np.asarray(lit_dn * local + self.brightness_dn * (beyond[STRAY] @ self.columns[STRAY]))
@@ -361,12 +370,13 @@ def _columns_at(
     waves = Outline.waves(near.angle_rad, made.slant_at(near.angle_rad))
     strain = (shape.strain[:2] - made.strain[:2]) @ waves
     grown = shape.log_size - made.shape.log_size + strain
-    tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
-    m0, slope, turn, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
+    slopes, tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
+    slope, turn, by_variance = slopes
+    m0, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a
     # strain G the light loses x G grad L + v div G grad L (p * (x S) = x L + v grad L for a Gaussian p).
     reach = np.maximum(near.limb_px + near.depth_px, 1.0)
-    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([blur, blur - slope / reach])
+    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([by_variance, by_variance - slope / reach])
     size, in_plane = by_psf - slope * reach
     m0 = m0 + grown * by_psf[0] + strain * (by_psf[1] - by_psf[0])
     away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
@@ -507,8 +517,17 @@ def fit_disk(
     place: BodyPlace,
     pixels: DiskPixels,
     start: DiskFit | None = None,
+    *,
+    follows_light: bool = False,
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
+
+    Parameters
+    ----------
+    follows_light
+        Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
+        differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
+        hold on to the limb, and these are led away.
 
     Raises
     ------
@@ -520,7 +539,7 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    return _Fitter(problem, shape, start).run()
+    return _Fitter(problem, shape, start, follows_light=follows_light).run()
 
 
 def _is_uneven(prior: FieldPrior) -> bool:
@@ -582,8 +601,10 @@ class _FitState(NamedTuple):
 
 
 class _Fitter:
-    def __init__(self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None) -> None:
-        self.problem = problem
+    def __init__(
+        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
+    ) -> None:
+        self.problem, self.follows_light = problem, follows_light
         self.lengths: list[float] = []
         self.converged = False
         self.doubt: FloatArray | float = 1.0
@@ -652,6 +673,14 @@ class _Fitter:
             converged=self.converged,
             excess=self._excess(),
             unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
+            extrapolated=self._stale(NEW, self._meant()),
+        )
+
+    def _meant(self) -> DiskShape:
+        """Return the shape with the light that the solution means."""
+        theta = self.linear.solution.theta
+        return replace(
+            self.shape, strain=theta[STRAINED], law=theta[SHARES], blur_px2=float(theta[Unknown.BLUR])
         )
 
     def _chi2_reduced(self) -> float:
@@ -942,7 +971,10 @@ class _Fitter:
         Noise, grain and albedo go with that: a start whose pieces are all alike would look better than any step from it.
         """
         self._relight(self.linear)
-        self._solve_at(self.linear.celled, self.linear.columns)
+        if self.follows_light:
+            self._solve()
+        else:
+            self._solve_at(self.linear.celled, self.linear.columns)
 
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
@@ -954,6 +986,8 @@ class _Fitter:
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
         self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
+        if self.follows_light:
+            self.made = self.made.sloped(linear.solution.theta)
 
     def _brightness(self, linear: _LinearDisk) -> float:
         """Return how bright the tabulated light has to be for the light that a solution means.
@@ -973,9 +1007,9 @@ class _Fitter:
         whole = self.problem.psf_variance_px2
         return float(np.clip(blur_px2, -MOST_BLUR[0] * whole, MOST_BLUR[1] * whole))
 
-    def _stale(self, bounds: Changes) -> bool:
-        """Whether the light was tabulated for another shape than the present one."""
-        now, then = self.shape, self.made.shape
+    def _stale(self, bounds: Changes, shape: DiskShape | None = None) -> bool:
+        """Whether the light was tabulated for another shape than the present one, or than another."""
+        now, then = shape or self.shape, self.made.shape
         strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
         blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)

@@ -36,11 +36,12 @@ from opnav_workbench.render.body import PlacedBody
 __all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share", "psf_variance"]
 
 PLANES = (
-    "light", "by_depth", "by_angle", "blur", "wings", "halo",
+    "light", "blur", "wings", "halo",
     "law", "law_2", "strain_cos", "strain_sin", "strain_zz", "strain_xz", "strain_yz",
     "relief",
 )  # fmt: skip
 LINEAR = len(PLANES) - PLANES.index("law")  # planes that are light of their own
+SLOPES = ("by_depth", "by_angle", "by_variance")
 
 # Steps in depth, and directions: at least, at most, and how far apart on the limb. Near the cusps light changes fast with
 # both: with the coarse tables a center is good to a few tenths of a pixel, with the fine ones to 0.03.
@@ -75,12 +76,12 @@ class LimbLight:
     ----------
     first_px, step_px
         Depth of the first column, and from each to the next.
-    tables : (t, n, 14 + k) or (t, n, 14 + 2 k) array
-        First as `PLANES`: light, its change with depth and with the angle, with the PSF's variance (px^2 along each
-        axis), with the shares of light that go to wings and to a halo, with the two shares of the law, and with the
-        shading of a strained body: x along pixel, y along line, z toward the camera; cos and sin are the strains in the
-        plane, xx = -yy and xy; and the light of slopes that face the Sun, `RELIEF`. Then the light of each hat function
-        of the albedo, whose sum is the light, and that of the same hats on slopes that face the Sun; or one of both.
+    tables : (t, n, 12 + k) or (t, n, 12 + 2 k) array
+        First as `PLANES`: light, its change with the PSF's variance (px^2 along each axis), with the shares of light that
+        go to wings and to a halo, with the two shares of the law, and with the shading of a strained body: x along pixel,
+        y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy; and the light of
+        slopes that face the Sun, `RELIEF`. Then the light of each hat function of the albedo, whose sum is the light, and
+        that of the same hats on slopes that face the Sun; or one of both.
     node_rad : (k,) array
         Arc from the limb of each hat function's peak.
     fine
@@ -91,6 +92,11 @@ class LimbLight:
         Which hats there are; None: both.
     psf_variance_px2
         Of the PSF over a pixel, along each axis.
+    limb_px : (t,) array
+        Radius of the outline.
+    slopes : (t, n, 3) array
+        As `SLOPES`, of a light that the tables make up (`sloped`): its change with depth, with the angle, and with the PSF's
+        variance, px^2 along each axis.
     """
 
     first_px: float
@@ -101,9 +107,16 @@ class LimbLight:
     law_means: FloatArray
     on_slopes: bool | None
     psf_variance_px2: float
+    limb_px: FloatArray
+    slopes: FloatArray
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def sloped(self, shares: FloatArray) -> "LimbLight":
+        """Return the same light, with the slopes of what `shares` (p,) of its first tables make up."""
+        light = self.tables[..., : len(shares)] @ shares
+        return replace(self, slopes=_steepness(light, self.limb_px, self.first_px, self.step_px))
 
     def hats_of(self, rows: FloatArray, *, on_slopes: bool) -> FloatArray:
         """Return the light of the hats (k, m), on slopes that face the Sun or not, of what `at` returns (p, m)."""
@@ -114,7 +127,26 @@ class LimbLight:
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
         """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
-        t, n, count = self.tables.shape
+        return self._looked_up(angle_rad, depth_px, self.tables[..., :first])
+
+    def over(
+        self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return slopes (3, m) and tables (p, m) as means over depths that have `spread_px` (m,) as their sigma.
+
+        Two points hold it.
+        """
+        both = self.slopes, self.tables
+        wide = np.nonzero(spread_px)[0]
+        out = self._looked_up(angle_rad, depth_px - spread_px, *both)
+        if len(wide):
+            out[:, wide] += self._looked_up(angle_rad[wide], depth_px[wide] + spread_px[wide], *both)
+            out[:, wide] *= 0.5
+        return out[: len(SLOPES)], out[len(SLOPES) :]
+
+    def _looked_up(self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray) -> FloatArray:
+        """Return planes (t, n, p) at m places, one below the other (p, m)."""
+        t, n, _ = self.tables.shape
         row = np.mod(angle_rad, TURN) * (t / TURN)
         column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
         i, j = row.astype(np.int64), column.astype(np.int64)
@@ -129,17 +161,8 @@ class LimbLight:
         ends = np.arange(len(row) + 1) * len(index)
         places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
         lookup = sparse.csr_array(places, shape=(len(row), t * n))
-        nodes = self.tables.reshape(t * n, count)[:, :first]
-        return np.ascontiguousarray((lookup @ nodes).T)
-
-    def over(self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray) -> FloatArray:
-        """Return the tables as means over depths (p, m) that have `spread_px` (m,) as their sigma: two points hold it."""
-        wide = np.nonzero(spread_px)[0]
-        out = self.at(angle_rad, depth_px - spread_px)
-        if len(wide):
-            out[:, wide] += self.at(angle_rad[wide], depth_px[wide] + spread_px[wide])
-            out[:, wide] *= 0.5
-        return out
+        found = [(lookup @ plane.reshape(t * n, -1)).T for plane in planes]
+        return np.ascontiguousarray(np.concatenate(found))
 
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -213,16 +236,27 @@ def limb_light(
     total = tables[0]
     law_means = tables[1:3].sum(axis=(1, 2)) / max(float(total.sum()), np.finfo(float).tiny)
     tables[1:3] -= law_means[:, None, None] * total
-    by_depth = np.gradient(total, step, axis=1)
-    by_angle = (np.roll(total, -1, axis=0) - np.roll(total, 1, axis=0)) * (0.5 * directions / TURN)
-    reach = np.maximum(outline.radius(angle)[:, None] + depth, 1.0)
-    bend = (np.roll(total, 1, axis=0) + np.roll(total, -1, axis=0) - 2.0 * total) * (directions / TURN) ** 2
-    blur = 0.5 * (np.gradient(by_depth, step, axis=1) + by_depth / reach + bend / reach**2)
+    limb = outline.radius(angle)
+    slopes = _steepness(total, limb, float(first), step)
     wide = [_widened(total, step, scale) - total for scale in WING_PX]
-    every = np.concatenate([np.stack([total, by_depth, by_angle, blur, *wide]), tables[1:]])
+    every = np.concatenate([np.stack([total, slopes[..., 2], *wide]), tables[1:]])
     kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     variance = psf_variance(picture.psf, blur_px2)
-    return LimbLight(float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance)
+    return LimbLight(
+        float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance, limb, slopes
+    )
+
+
+def _steepness(light: FloatArray, limb_px: FloatArray, first_px: float, step_px: float) -> FloatArray:
+    """Return `LimbLight.slopes` of light (t, n)."""
+    t, n = light.shape
+    before, after = np.roll(light, 1, axis=0), np.roll(light, -1, axis=0)
+    by_depth = np.gradient(light, step_px, axis=1)
+    by_angle = (after - before) * (0.5 * t / TURN)
+    reach = np.maximum(limb_px[:, None] + first_px + step_px * np.arange(n), 1.0)
+    bend = (before + after - 2.0 * light) * (t / TURN) ** 2
+    by_variance = 0.5 * (np.gradient(by_depth, step_px, axis=1) + by_depth / reach + bend / reach**2)
+    return np.stack([by_depth, by_angle, by_variance], axis=2)
 
 
 def psf_variance(psf: Psf, blur_px2: float = 0.0) -> float:

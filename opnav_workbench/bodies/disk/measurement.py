@@ -1,7 +1,8 @@
 """A disk in the picture, measured: what every method that reads a limb begins from.
 
 Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
-       and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ
+       and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ; and along its
+       own light, where that was extrapolated
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +11,15 @@ import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels
-from opnav_workbench.bodies.disk.fit import PLACE_SIGMAS, RELIEF, DiskFit, Unknown, disk_columns, fit_disk
+from opnav_workbench.bodies.disk.fit import (
+    PLACE_SIGMAS,
+    RELIEF,
+    WANDERED_SHARE,
+    DiskFit,
+    Unknown,
+    disk_columns,
+    fit_disk,
+)
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -129,6 +138,8 @@ def disk_at(
         crossing = read_crossings(picture, fit)
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
+        if fit.extrapolated:
+            fit, crossing = _along_its_light(picture, name, place, pixels, fit, crossing)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
@@ -271,7 +282,7 @@ def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
     """
     own = [Unknown[name.upper()] for name in UNSURE]
     variance, modes = np.linalg.eigh(fit.solution.covariance[np.ix_(own, own)])
-    return (fit.solution.theta - fit.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
+    return (fit.solution.theta - fit.made.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
 
 
 def _saturation_dn(picture: BodyPicture) -> float:
@@ -326,6 +337,31 @@ def _from_crossings(
     if likelier(pixels, fit, other) is fit:
         return fit, crossing
     return other, read_crossings(picture, other)
+
+
+def _along_its_light(
+    picture: BodyPicture,
+    name: str,
+    place: BodyPlace,
+    pixels: DiskPixels,
+    fit: DiskFit,
+    crossing: CrossingFit | None,
+) -> tuple[DiskFit, CrossingFit | None]:
+    """Return a fit that goes along its own light, if that explains more and the crossings confirm it; else the fit.
+
+    Where it explains more and is not confirmed, neither is known to be right: half of the way to it is uncertain.
+    """
+    try:
+        other = fit_disk(picture, name, place, pixels, follows_light=True)
+        found = read_crossings(picture, other)
+    except CenterfindingError:
+        return fit, crossing
+    if not other.converged or likelier(pixels, fit, other) is fit:
+        return fit, crossing
+    if alike(other, found):
+        return other, found
+    away = WANDERED_SHARE * (other.center_px - fit.center_px)
+    return replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away)), crossing
 
 
 MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a crater's rim may do
