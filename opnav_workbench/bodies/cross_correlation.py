@@ -24,9 +24,9 @@ from opnav_workbench.bodies.detection import (
     fit_pixels,
     start_state,
 )
-from opnav_workbench.bodies.fit_report import report_fitted_bodies
+from opnav_workbench.bodies.fit_report import report_fitted_bodies, without_pixels
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import BodyCenter, BodyFlag
+from opnav_workbench.bodies.results import BodyCenter
 from opnav_workbench.bodies.scene_fit import (
     SceneFit,
     SceneLight,
@@ -48,7 +48,6 @@ PROBE_PX = 0.01  # of numeric derivatives of the peak
 FRESH_SLOPES_PX = 0.3  # derivatives rendered farther away than this are rendered anew
 MIN_RESPONSE = 0.05  # of the peak to a shift, as a determinant: below, the paraboloid says nothing
 MIN_PIXELS = 10
-NO_PIXELS = "no usable pixels about its place"
 LAGS = [(line, pixel) for line in (-1, 0, 1) for pixel in (-1, 0, 1)]
 
 
@@ -91,7 +90,7 @@ def find_cross_correlation(
         return detected.missed[name]
     cutout = fit_pixels(detected)
     if cutout is None or np.count_nonzero(cutout.use) < MIN_PIXELS:
-        return BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
+        return without_pixels(name, METHOD)
     scene, fit = fit_figures(detected, partial(_iterate, cutout))
     centers, _ = report_fitted_bodies(cutout, scene, fit, METHOD, np.zeros(len(fit.state.names), bool))
     return centers[name]

@@ -40,7 +40,7 @@ from opnav_workbench.bodies.results import (
 from opnav_workbench.bodies.scene_fit import SceneFit
 from opnav_workbench.bodies.subarray import Cutout, left_search, outline_radius_px
 
-__all__ = ["report_fitted_bodies"]
+__all__ = ["report_fitted_bodies", "without_pixels"]
 
 POORLY_EXPLAINED = (
     0.6  # share of the light's variation under it; an albedo map of Pluto's contrast leaves 0.9
@@ -70,6 +70,12 @@ def report_fitted_bodies(
         centers[name] = _confirmed(_body_center(context, index), body)
         covariance[_block(index)] = centers[name].covariance_px2
     return centers, covariance[: 2 * len(centers), : 2 * len(centers)]
+
+
+def without_pixels(name: str, method: str) -> BodyCenter:
+    """Return what a fit tells of a body that no usable pixel shows."""
+    flags = int(BodyFlag.EMPTY)
+    return BodyCenter.without_center(name, method, "failed", "no usable pixels about its place", flags=flags)
 
 
 def _block(index: int) -> tuple[slice, slice]:

@@ -24,9 +24,9 @@ from opnav_workbench.bodies.detection import (
     groups_in_contact,
     start_state,
 )
-from opnav_workbench.bodies.fit_report import report_fitted_bodies
+from opnav_workbench.bodies.fit_report import report_fitted_bodies, without_pixels
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.results import BodyCenter, BodyFlag, JointCenters
+from opnav_workbench.bodies.results import BodyCenter, JointCenters
 from opnav_workbench.bodies.scene_fit import SceneFit, fit_scene
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.threads import one_thread
@@ -37,7 +37,6 @@ __all__ = ["find_jointly", "find_least_squares"]
 # ---- Centers of several bodies in one picture, found together by least squares, and their joint covariance.
 
 METHOD = "least_squares"
-NO_PIXELS = "no usable pixels about its place"
 MIN_PIXELS_PER_PARAMETER = 2
 
 
@@ -119,10 +118,7 @@ def _check(picture: BodyPicture, names: Sequence[str]) -> None:
 
 
 def _empty(detected: DetectedScene) -> dict[str, BodyCenter]:
-    return {
-        name: BodyCenter.without_center(name, METHOD, "failed", NO_PIXELS, flags=int(BodyFlag.EMPTY))
-        for name in detected.found
-    }
+    return {name: without_pixels(name, METHOD) for name in detected.found}
 
 
 def _collected(

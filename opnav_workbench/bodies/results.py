@@ -219,7 +219,6 @@ class BodyFlag(IntFlag):
     BAD_PIXELS = 512
     HIT = 1024
     NOT_CONVERGED = 2048
-    SIZE_UNSOLVED = 4096
     UNCONFIRMED = 8192
 
 
@@ -236,7 +235,6 @@ _MEANING = {
     BodyFlag.BAD_PIXELS: "bad pixels on it were left out",
     BodyFlag.HIT: "pixels with light that is not the body's (cosmic rays, stars) were left out",
     BodyFlag.NOT_CONVERGED: "the solution did not converge",
-    BodyFlag.SIZE_UNSOLVED: "its size could not be solved for",
     BodyFlag.UNCONFIRMED: "a second reading of the picture does not confirm it",
 }
 
@@ -526,7 +524,6 @@ DOUBTFUL_FLAGS = (
     | BodyFlag.WEAK_GEOMETRY
     | BodyFlag.EMPTY
     | BodyFlag.NOT_CONVERGED
-    | BodyFlag.SIZE_UNSOLVED
     | BodyFlag.UNCONFIRMED
 )
 

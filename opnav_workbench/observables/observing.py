@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies import BodyCenter, BodyFlag, JointCenters
+from opnav_workbench.bodies import BodyCenter, JointCenters
 from opnav_workbench.camera import Camera
 from opnav_workbench.constants import ARCSEC_PER_RAD
 from opnav_workbench.errors import PointingError
@@ -192,8 +192,7 @@ def _judgement(center: BodyCenter, pointing_doubt: str, *, outside: bool) -> dic
 
 def _measured_range(center: BodyCenter) -> dict[str, Any]:
     """Range from the body's size; none where the size was not solved for, or the center itself is in doubt."""
-    solved = not center.flags & BodyFlag.SIZE_UNSOLVED and 0.0 < center.range_sigma_km < np.inf
-    known = center.status == "ok" and solved
+    known = center.status == "ok" and 0.0 < center.range_sigma_km < np.inf
     return {
         "measured_range_km": center.range_km if known else np.nan,
         "range_sigma_km": center.range_sigma_km if known else np.nan,

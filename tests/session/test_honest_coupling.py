@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
-from opnav_workbench.bodies import BodyFlag
 from opnav_workbench.geometry import geometric_direction
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
@@ -197,7 +196,6 @@ def test_a_range_is_given_out_by_a_center_that_is_ok_alone(near):
         replace(center, status="uncertain"),
         replace(center, range_sigma_km=np.nan),
         replace(center, range_sigma_km=0.0),
-        replace(center, flags=center.flags | BodyFlag.SIZE_UNSOLVED),
     ):
         body = _body(_result(near, bodies=(worse,)))
         assert np.isnan(body["measured_range_km"])

@@ -1,7 +1,7 @@
 """A disk in the picture, measured: what every method that reads a limb begins from.
 
 Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
-       and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ; and along its
+       and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ -> along its
        own light, where that was extrapolated
 """
 
