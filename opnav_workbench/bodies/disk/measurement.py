@@ -236,6 +236,7 @@ ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
 HALF_PX = 0.15  # where pattern or law are steep at the limb
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 START_SIZES = (0.7, 1.4)
+WIDER = 2.0  # sigma of a fit along its own light, at most, over that of the other one
 UNSURE = (
     "blur",
     "law",
@@ -349,14 +350,16 @@ def _along_its_light(
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return a fit that goes along its own light, if that explains more and the crossings confirm it; else the fit.
 
-    Where it explains more and is not confirmed, neither is known to be right: half of the way to it is uncertain.
+    Where it explains more and is not confirmed, neither is known to be right: half of the way to it is uncertain. One that
+    is led away by light of no model explains more as well, but hardly knows the center any longer.
     """
     try:
         other = fit_disk(picture, name, place, pixels, follows_light=True)
         found = read_crossings(picture, other)
     except CenterfindingError:
         return fit, crossing
-    if not other.converged or likelier(pixels, fit, other) is fit:
+    wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
+    if wide or not other.converged or likelier(pixels, fit, other) is fit:
         return fit, crossing
     if alike(other, found):
         return other, found
