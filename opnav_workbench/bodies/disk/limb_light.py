@@ -162,7 +162,7 @@ class LimbLight:
         places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
         lookup = sparse.csr_array(places, shape=(len(row), t * n))
         found = [(lookup @ plane.reshape(t * n, -1)).T for plane in planes]
-        return np.ascontiguousarray(np.concatenate(found))
+        return np.concatenate(found, out=np.empty((sum(map(len, found)), len(row))))
 
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

@@ -355,11 +355,11 @@ def _along_its_light(
     """
     try:
         other = fit_disk(picture, name, place, pixels, follows_light=True)
+        wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
+        if wide or not other.converged or likelier(pixels, fit, other) is fit:
+            return fit, crossing
         found = read_crossings(picture, other)
     except CenterfindingError:
-        return fit, crossing
-    wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
-    if wide or not other.converged or likelier(pixels, fit, other) is fit:
         return fit, crossing
     if alike(other, found):
         return other, found
