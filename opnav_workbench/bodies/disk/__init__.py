@@ -20,6 +20,8 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     Fields on a ring of blocks, and their linear algebra.
 ``marginal``
     The likelihood, marginal over the field.
+``limb_scatter``
+    Whether pieces of limb pull the center as the model has them do.
 ``tuning``
     The field's prior, as the data speak for it.
 ``fit``

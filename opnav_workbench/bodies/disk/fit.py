@@ -34,6 +34,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
 )
 from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
+from opnav_workbench.bodies.disk.limb_scatter import limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
 from opnav_workbench.bodies.picture import BodyPicture
@@ -257,6 +258,9 @@ class DiskFit:
         Of the center's steps.
     excess
         Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
+    scatter
+        Variance of the center over what was expected of it, by how pieces of limb pull it
+        (`opnav_workbench.bodies.disk.limb_scatter`).
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
     extrapolated
@@ -281,6 +285,7 @@ class DiskFit:
     lengths_px: tuple[float, ...]
     converged: bool
     excess: float = 1.0
+    scatter: float = 1.0
     unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     extrapolated: bool = False
 
@@ -295,7 +300,7 @@ class DiskFit:
     @property
     def covariance_px2(self) -> FloatArray:
         """Covariance of the center (2, 2), marginal over all else."""
-        own = self.excess * self.solution.covariance[np.ix_(CENTER, CENTER)]
+        own = self.excess * self.scatter * self.solution.covariance[np.ix_(CENTER, CENTER)]
         return np.asarray(own + self.unrest_px2)
 
     def light_dn(self) -> FloatArray:
@@ -672,6 +677,7 @@ class _Fitter:
             lengths_px=tuple(self.lengths),
             converged=self.converged,
             excess=self._excess(),
+            scatter=limb_scatter(self.linear.system.scores(self.prior, CENTER)),
             unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
             extrapolated=self._stale(NEW, self._meant()),
         )
@@ -755,7 +761,8 @@ class _Fitter:
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
-        return tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
+        bounds = float(problem.hemispheres.min()), float(problem.hemispheres.max())
+        return tuned(self.linear.system, self.prior, problem.rough_px, bounds)
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""

@@ -21,7 +21,7 @@ from opnav_workbench.bodies.disk.limb_field import BLOCK, FieldPrior, LimbField
 from opnav_workbench.bodies.disk.ring import RingFactor, RingPrior, products
 from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
-__all__ = ["Ascent", "LimbSystem", "MarginalSolution"]
+__all__ = ["Ascent", "LimbScores", "LimbSystem", "MarginalSolution"]
 
 SMALL_STEP = 1e-5  # in a logarithm, for the slope of the field's own precision
 IN_RING = (0, 1, 3)  # which of the logarithms of a prior the ring depends on
@@ -78,6 +78,23 @@ class Ascent(NamedTuple):
 
     log_likelihood: float
     gradient: FloatArray
+    information: FloatArray
+
+
+class LimbScores(NamedTuple):
+    """What pieces of limb have of a solution for k unknowns, in the unknowns' units: their sum is what the prior takes back.
+
+    Attributes
+    ----------
+    found : (k, j) array
+    expected : (k, j, k, j) array
+        Their second moments, if the cells are as the model has them.
+    information : (k, k) array
+        Covariance that all pieces together would have, without the prior and with nothing taken by the solution.
+    """
+
+    found: FloatArray
+    expected: FloatArray
     information: FloatArray
 
 
@@ -246,6 +263,33 @@ class LimbSystem:
         used = np.isfinite(self.variance)
         by_noise = found.mixed.covariance[:p] @ (left[:, used] * np.sqrt(self.variance[used]))
         return np.asarray(by_noise @ by_noise.T)
+
+    def scores(self, prior: FieldPrior, unknowns: Sequence[int]) -> LimbScores:
+        """Return what each piece of limb has of a solution for some unknowns.
+
+        With G = P X^T C^-1 and r what the solution leaves, a piece has the part of G r that its cells are in. The cells are
+        expected to differ from the model by C, of which the solution takes X P X^T.
+        """
+        cells = self.weighed(prior.grain)
+        found = self._marginal(prior, cells)
+        pulled = self._pulled(cells, found.factor.solved(found.halves))
+        theta, covariance, k = found.mixed.theta, found.mixed.covariance, len(unknowns)
+        gain = np.tensordot(covariance[list(unknowns)], cells.columns[:-1], axes=1)
+        pull = pulled[-1] - np.tensordot(theta, pulled[:-1], axes=1)
+        (j, _), (n, s, _) = self.data.shape, cells.cross.shape
+        # Each piece by itself: what the others know of the field goes with it.
+        own = np.einsum("qjc,jc,kjc->jqk", self.own, cells.weight, gain)
+        alone = np.zeros((j, len(self.own), k, j))
+        each = np.arange(j)
+        alone[each, :, :, each] = own
+        alone = alone.reshape(n, s, k * j)
+        halves = found.factor.halves(alone)
+        expected = -products(halves, halves).reshape(k, j, k, j)
+        expected[:, each, :, each] += np.einsum("ajc,jc,bjc->jab", gain, cells.weight, gain)
+        shared = np.einsum("kjc,pjc->kjp", gain, pulled[:-1])
+        expected -= np.einsum("ajp,pq,bkq->ajbk", shared, covariance, shared)
+        information = np.einsum("ajp,bp->ab", shared, covariance[list(unknowns)])
+        return LimbScores(np.einsum("kjc,jc->kj", gain, pull), expected, 0.5 * (information + information.T))
 
     def _pulled(self, cells: WeighedCells, nodes: FloatArray) -> FloatArray:
         """Return what the inverse of D + N K N^T makes of `WeighedCells.columns` (m, j, c); the ring has `nodes` of them."""
