@@ -27,7 +27,6 @@ COARSE_PATTERN_PX = 1.5  # a map of larger cells shows in rays one pixel apart
 
 
 UNSTATED_SIZE, UNSTATED_AXES, UNSTATED_ALBEDO = 0.10, 0.05, 0.2  # of a first approach
-WILDEST_ALBEDO = 0.5  # hemispheres of Iapetus
 LARGEST_SIGMA = 0.9  # what a part of a radius can be uncertain by
 # Even in the logarithm, down to 0.08 and 0.04 %: as well as spacecraft that passed by have measured large bodies
 # (Archinal et al. 2018, doi:10.1007/s10569-017-9805-5: 0.07 % for Pluto, 0.08 % for Rhea).
@@ -92,11 +91,11 @@ class FigureUncertainty:
     @property
     def albedo_scales(self) -> tuple[float, ...]:
         """Sigmas that hemispheres may differ by, the largest first; one if it is stated."""
-        return _scales(self.albedo_sigma, UNSTATED_ALBEDO, WILDEST_ALBEDO)
+        return _scales(self.albedo_sigma, UNSTATED_ALBEDO)
 
 
-def _scales(sigma: float, unstated: float, *wilder: float) -> tuple[float, ...]:
-    return (*wilder, *(sigma * share for share in SCALES)) if sigma == unstated else (sigma,)
+def _scales(sigma: float, unstated: float) -> tuple[float, ...]:
+    return tuple(sigma * share for share in SCALES) if sigma == unstated else (sigma,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -259,7 +259,7 @@ class DiskFit:
     excess
         Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
     scatter
-        Variance of the center over what was expected of it, by how pieces of limb pull it
+        Variance of the center over what excess makes of it, by how pieces of limb pull it
         (`opnav_workbench.bodies.disk.limb_scatter`).
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
@@ -654,7 +654,7 @@ class _Fitter:
         return self._result()
 
     def _result(self) -> DiskFit:
-        plane = self.problem.pixels.use.shape
+        plane, excess = self.problem.pixels.use.shape, self._excess()
         near, columns = disk_columns(
             self.made, self.shape, plane, self.problem.reach, on_slopes=self.prior.on_slopes
         )
@@ -676,8 +676,8 @@ class _Fitter:
             lit_share=float(np.mean(self.problem.seen_limb(self.made, self.linear.system))),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
-            excess=self._excess(),
-            scatter=limb_scatter(self.linear.system.scores(self.prior, CENTER)),
+            excess=excess,
+            scatter=limb_scatter(self.linear.system.scores(self.prior, CENTER), excess),
             unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
             extrapolated=self._stale(NEW, self._meant()),
         )
@@ -761,8 +761,7 @@ class _Fitter:
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
-        bounds = float(problem.hemispheres.min()), float(problem.hemispheres.max())
-        return tuned(self.linear.system, self.prior, problem.rough_px, bounds)
+        return tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""

@@ -21,8 +21,8 @@ MODEL_DEGREES = 4.0  # of freedom that a model's own variance is worth
 LEAST_INFORMATION = 1e-6  # of the largest: a direction without a limb
 
 
-def limb_scatter(scores: LimbScores) -> float:
-    """Return the variance of a center over that of its model."""
+def limb_scatter(scores: LimbScores, excess: float = 1.0) -> float:
+    """Return the variance of a center over that of its model, whose cells have `excess` times the variance it expects."""
     value, vector = np.linalg.eigh(scores.information)
     if not value[-1] > 0.0:
         return 1.0
@@ -37,5 +37,5 @@ def limb_scatter(scores: LimbScores) -> float:
     mean, power = float(np.trace(weighted)), float(np.sum(weighted * weighted.T))
     if not (mean > 0.0 and power > 0.0):
         return 1.0
-    ratio, degrees = float(np.sum((found @ common) * found)) / mean, mean**2 / power
+    ratio, degrees = float(np.sum((found @ common) * found)) / (excess * mean), mean**2 / power
     return (MODEL_DEGREES + degrees * ratio) / (MODEL_DEGREES + degrees - 2.0)
