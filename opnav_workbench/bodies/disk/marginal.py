@@ -282,8 +282,7 @@ class LimbSystem:
         alone = np.zeros((j, len(self.own), k, j))
         each = np.arange(j)
         alone[each, :, :, each] = own
-        alone = alone.reshape(n, s, k * j)
-        halves = found.factor.halves(alone)
+        halves = found.factor.halves(alone.reshape(n, s, k * j))
         expected = -products(halves, halves).reshape(k, j, k, j)
         expected[:, each, :, each] += np.einsum("ajc,jc,bjc->jab", gain, cells.weight, gain)
         shared = np.einsum("kjc,pjc->kjp", gain, pulled[:-1])
