@@ -286,7 +286,7 @@ class LimbSystem:
         expected = -products(halves, halves).reshape(k, j, k, j)
         expected[:, each, :, each] += np.einsum("ajc,jc,bjc->jab", gain, cells.weight, gain)
         shared = np.einsum("kjc,pjc->kjp", gain, pulled[:-1])
-        expected -= np.einsum("ajp,pq,bkq->ajbk", shared, covariance, shared)
+        expected -= np.tensordot(shared @ covariance, shared, axes=(2, 2))
         information = np.einsum("ajp,bp->ab", shared, covariance[list(unknowns)])
         return LimbScores(np.einsum("kjc,jc->kj", gain, pull), expected, 0.5 * (information + information.T))
 
