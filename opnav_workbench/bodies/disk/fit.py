@@ -616,6 +616,7 @@ class _Fitter:
         self.patchy = np.zeros(problem.pieces)
         self.celled: _CelledSamples | None = None
         self.likelihood = -np.inf
+        self.refused: DiskShape | None = None  # of which no tables were likelier than the last
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if start is not None:
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
@@ -823,7 +824,7 @@ class _Fitter:
             self.lengths.append(length)
             passed.append(self.shape.center_px)
             uphill = 0 if lower else uphill + 1
-            anew = not self.made.light.fine and self._stale(NEW) and self._tabulate(fine=False)
+            anew = not self.made.light.fine and self._wants_tables() and self._tabulate(fine=False)
             if anew or self.linear.solution.held_cost < best.linear.solution.held_cost:
                 best = self._state()
             fine = self.made.light.fine
@@ -899,8 +900,9 @@ class _Fitter:
             self._reweigh()
             likelihood = self.linear.solution.log_likelihood
             if likelihood > self.likelihood - 0.5 * self._lost():
-                self.likelihood = likelihood
+                self.likelihood, self.refused = likelihood, None
                 return True
+        self.refused = now
         if not fine:
             self._return_to(kept)
         return False
@@ -1013,10 +1015,16 @@ class _Fitter:
         whole = self.problem.psf_variance_px2
         return float(np.clip(blur_px2, -MOST_BLUR[0] * whole, MOST_BLUR[1] * whole))
 
+    def _wants_tables(self) -> bool:
+        """Whether coarse light is to be tabulated: not if that of nearly the same shape was none the likelier."""
+        return self._stale(NEW) and (self.refused is None or self._differ(NEW, self.shape, self.refused))
+
     def _stale(self, bounds: Changes, shape: DiskShape | None = None) -> bool:
         """Whether the light was tabulated for another shape than the present one, or than another."""
-        now, then = shape or self.shape, self.made.shape
-        strain = float(np.abs(now.strain - self.made.strain).max()) if self.problem.can_be_strained else 0.0
+        return self._differ(bounds, shape or self.shape, self.made.shape)
+
+    def _differ(self, bounds: Changes, now: DiskShape, then: DiskShape) -> bool:
+        strain = float(np.abs(now.strain - then.strain).max()) if self.problem.can_be_strained else 0.0
         blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)
         share, power = np.abs(now.law - then.law)
