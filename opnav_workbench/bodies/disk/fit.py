@@ -80,6 +80,7 @@ NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
+HELD = 1e-4  # sigma of a size that is held
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
@@ -404,8 +405,16 @@ def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) ->
 class _DiskProblem:
     """What stays while a disk is fitted."""
 
-    def __init__(self, picture: BodyPicture, name: str, pixels: DiskPixels, place: BodyPlace) -> None:
+    def __init__(
+        self,
+        picture: BodyPicture,
+        name: str,
+        pixels: DiskPixels,
+        place: BodyPlace,
+        held_log_size: float | None = None,
+    ) -> None:
         self.picture, self.name, self.pixels, self.place = picture, name, pixels, place
+        self.held_log_size = held_log_size
         radius_px = 0.5 * picture.diameter_px(name) * place.size_ratio
         self.radius_px = radius_px
         model = picture.model(name)
@@ -477,7 +486,8 @@ class _DiskProblem:
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
         out = np.full(SHARED, np.inf)
-        out[Unknown.SIZE] = np.hypot(SEEN_SHARE * self.place.seen_sigma, SEEN_PX / self.radius_px)
+        seen = float(np.hypot(SEEN_SHARE * self.place.seen_sigma, SEEN_PX / self.radius_px))
+        out[Unknown.SIZE] = seen if self.held_log_size is None else HELD
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
@@ -495,7 +505,8 @@ class _DiskProblem:
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        mean[Unknown.SIZE] = np.log(self.place.seen_ratio)
+        seen = float(np.log(self.place.seen_ratio))
+        mean[Unknown.SIZE] = seen if self.held_log_size is None else self.held_log_size
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
@@ -524,6 +535,7 @@ def fit_disk(
     start: DiskFit | None = None,
     *,
     follows_light: bool = False,
+    held_log_size: float | None = None,
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
 
@@ -533,13 +545,15 @@ def fit_disk(
         Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
         differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
         hold on to the limb, and these are led away.
+    held_log_size
+        Logarithm of the size over the model's, if that is not to be solved for.
 
     Raises
     ------
     CenterfindingError
         The body leaves what the camera model covers.
     """
-    problem = _DiskProblem(picture, name, pixels, place)
+    problem = _DiskProblem(picture, name, pixels, place, held_log_size)
     none = np.zeros(problem.pieces)
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))

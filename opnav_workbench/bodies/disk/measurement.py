@@ -2,7 +2,7 @@
 
 Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
        and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ -> along its
-       own light, where that was extrapolated
+       own light, where that was extrapolated -> a small one with other sizes
 """
 
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from opnav_workbench.bodies.disk.fit import (
     disk_columns,
     fit_disk,
 )
-from opnav_workbench.bodies.disk.limb_light import PLANES
+from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import (
@@ -140,6 +140,7 @@ def disk_at(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, place, pixels, fit, crossing)
+        fit = _over_sizes(picture, name, place, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
@@ -365,6 +366,37 @@ def _along_its_light(
         return other, found
     away = WANDERED_SHARE * (other.center_px - fit.center_px)
     return replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away)), crossing
+
+
+# Of a disk that is not much wider than the PSF, size, law, patches and place explain each other along a bent valley; a
+# solution knows its slope where it stands. Sizes, in sigmas of what is known of them:
+SIZES = (-1.5, -0.5, 0.5, 1.5)
+SMALL_WIDTHS = 8.0  # of the PSF, radius: larger disks have a limb that tells their size
+LEAST_GROWTH_PX = 0.02  # of the radius, for a size that is not known
+LEVELED = 3.0  # likelihoods of two fits differ by some units for their cells alone
+
+
+def _over_sizes(
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit
+) -> DiskFit:
+    """Return a small disk's fit with how far its center moves with the size in its covariance, as likely as each is."""
+    sigma, radius = fit.figure.size_sigma, 0.5 * fit.outline.diameter_px
+    small = radius < SMALL_WIDTHS * np.sqrt(psf_variance(picture.psf))
+    if not small or sigma * radius < LEAST_GROWTH_PX:
+        return fit
+    others = []
+    for log_size in sigma * np.array(SIZES):
+        there = replace(
+            place, center_px=fit.center_px, size_ratio=float(np.exp(log_size)), strain=fit.shape.strain[:2]
+        )
+        try:
+            others.append(fit_disk(picture, name, there, pixels, held_log_size=float(log_size)))
+        except CenterfindingError:
+            continue  # such a size is none of this body's
+    likelihood = np.array([each.solution.log_likelihood for each in (fit, *others)])
+    weight = np.exp((likelihood - likelihood.max()) / LEVELED)
+    away = np.array([each.center_px - fit.center_px for each in (fit, *others)])
+    return replace(fit, unrest_px2=fit.unrest_px2 + (weight * away.T) @ away / weight.sum())
 
 
 MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a crater's rim may do
