@@ -79,8 +79,8 @@ COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
-# The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 HELD = 1e-4  # sigma of a size that is held
+# The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
