@@ -21,6 +21,7 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
@@ -414,9 +415,13 @@ class _DiskProblem:
         held_log_size: float | None = None,
     ) -> None:
         self.picture, self.name, self.pixels, self.place = picture, name, pixels, place
-        self.held_log_size = held_log_size
         radius_px = 0.5 * picture.diameter_px(name) * place.size_ratio
         self.radius_px = radius_px
+        crossed = (
+            float(np.log(place.seen_ratio)),
+            float(np.hypot(SEEN_SHARE * place.seen_sigma, SEEN_PX / radius_px)),
+        )
+        self.size_prior = crossed if held_log_size is None else (held_log_size, HELD)  # mean, sigma
         model = picture.model(name)
         self.can_be_strained = can_be_strained(model)
         self.figure: FigureUncertainty = model.seen_figure
@@ -486,8 +491,7 @@ class _DiskProblem:
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
         out = np.full(SHARED, np.inf)
-        seen = float(np.hypot(SEEN_SHARE * self.place.seen_sigma, SEEN_PX / self.radius_px))
-        out[Unknown.SIZE] = seen if self.held_log_size is None else HELD
+        out[Unknown.SIZE] = self.size_prior[1]
         out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
         out[SHARES] = self.law_prior[1:]
         out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
@@ -505,8 +509,7 @@ class _DiskProblem:
     def prior_mean(self, center_px: FloatArray) -> FloatArray:
         """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
         mean = np.zeros(SHARED)
-        seen = float(np.log(self.place.seen_ratio))
-        mean[Unknown.SIZE] = seen if self.held_log_size is None else self.held_log_size
+        mean[Unknown.SIZE] = self.size_prior[0]
         mean[CENTER] = self.place.center_px - center_px
         mean[Unknown.LAW] = self.law_prior[0]
         return mean
@@ -784,11 +787,10 @@ class _Fitter:
         if len(self.problem.hemispheres) == 1:
             return solution
         each = [system.solve(replace(self.prior, hemispheres=float(h))) for h in self.problem.hemispheres]
-        weight = np.array([one.log_likelihood for one in each])
-        weight = np.exp(weight - weight.max())
+        weight = softmax([one.log_likelihood for one in each])
         away = np.array([one.theta for one in each]) - solution.theta
         whole = np.array([one.covariance for one in each]) + away[:, :, None] * away[:, None, :]
-        return replace(solution, covariance=np.tensordot(weight / weight.sum(), whole, axes=1))
+        return replace(solution, covariance=np.tensordot(weight, whole, axes=1))
 
     def _patchiness(self, celled: _CelledSamples, columns: FloatArray) -> FloatArray:
         """Return the variance (j,) of the albedo within pieces of limb, by pixels beside it about the means of cells.
@@ -916,8 +918,8 @@ class _Fitter:
             if likelihood > self.likelihood - 0.5 * self._lost():
                 self.likelihood, self.refused = likelihood, None
                 return True
-        self.refused = now
         if not fine:
+            self.refused = now
             self._return_to(kept)
         return False
 
@@ -1038,6 +1040,7 @@ class _Fitter:
         return self._differ(bounds, shape or self.shape, self.made.shape)
 
     def _differ(self, bounds: Changes, now: DiskShape, then: DiskShape) -> bool:
+        """Whether two shapes have other light."""
         strain = float(np.abs(now.strain - then.strain).max()) if self.problem.can_be_strained else 0.0
         blur = abs(now.blur_px2 - then.blur_px2) / self.problem.psf_variance_px2
         size = abs(now.log_size - then.log_size)

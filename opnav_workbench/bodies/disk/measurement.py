@@ -8,6 +8,7 @@ Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.pla
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import softmax
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.disk.blocks import DiskPixels
@@ -394,9 +395,9 @@ def _over_sizes(
         except CenterfindingError:
             continue  # such a size is none of this body's
     likelihood = np.array([each.solution.log_likelihood for each in (fit, *others)])
-    weight = np.exp((likelihood - likelihood.max()) / LEVELED)
+    weight = softmax(likelihood / LEVELED)
     away = np.array([each.center_px - fit.center_px for each in (fit, *others)])
-    return replace(fit, unrest_px2=fit.unrest_px2 + (weight * away.T) @ away / weight.sum())
+    return replace(fit, unrest_px2=fit.unrest_px2 + (weight * away.T) @ away)
 
 
 MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a crater's rim may do
