@@ -549,7 +549,8 @@ def fit_disk(
         differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
         hold on to the limb, and these are led away.
     held_log_size
-        Logarithm of the size over the model's, if that is not to be solved for.
+        Logarithm of the size over the model's, if that is not to be solved for. Where the center is with it, and how likely
+        that is, coarse light tells.
 
     Raises
     ------
@@ -561,7 +562,8 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    return _Fitter(problem, shape, start, follows_light=follows_light).run()
+    fitter = _Fitter(problem, shape, start, follows_light=follows_light)
+    return fitter.run(MOST_FINE if held_log_size is None else 0)
 
 
 def _is_uneven(prior: FieldPrior) -> bool:
@@ -648,14 +650,15 @@ class _Fitter:
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
-    def run(self) -> DiskFit:
+    def run(self, most_fine: int) -> DiskFit:
+        """Fit; the fine light is tabulated so many times at the most."""
         self._solve()
         self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
         for _ in range(self.tunings):
             self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
         tabled = self._state()
-        for turn in range(MOST_FINE):
+        for turn in range(most_fine):
             light = self.made.light
             if not light.fine or self._stale(LAST):
                 if not self._tabulate(fine=True) and light.fine:
