@@ -7,7 +7,7 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk
-from opnav_workbench.bodies.disk.fit import SHADED, DiskShape, Unknown, _columns_at, _DiskProblem
+from opnav_workbench.bodies.disk.fit import SHADED, DiskShape, Unknown, _DiskProblem, disk_columns
 from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
@@ -112,7 +112,7 @@ def test_columns_are_the_changes_of_light_that_is_tabulated_anew(body_stage, dia
     def columns(shape, made):
         outline = made.outline(shape)
         places = limb_places(outline, near.pixel, near.line)
-        return _columns_at(made, shape, outline, places, np.zeros(len(near.pixel)), on_slopes=False)
+        return disk_columns(made, shape, outline, places, on_slopes=False)
 
     def light(shape):
         return columns(shape, problem.tabulated(shape, fine=True, on_slopes=False))[0]

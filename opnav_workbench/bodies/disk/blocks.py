@@ -32,6 +32,10 @@ class LimbSamples(NamedTuple):
         """Standard deviation (n,) of a square's pixels in any direction."""
         return np.asarray(np.sqrt((self.side**2 - 1.0) / 12.0))
 
+    def in_order(self, order: IntArray) -> "LimbSamples":
+        """Return the same squares in another order (n,)."""
+        return LimbSamples(self.places.in_order(order), *(each[order] for each in self[1:]))
+
 
 class _Squares(NamedTuple):
     """Means of data and of variance in squares (n_line, n_pixel) of one side, and which of them are whole."""

@@ -4,7 +4,7 @@ Every pixel of the strip belongs to one cell; the model is taken at the pixel it
 compared with the same mean of the model, and nothing is resampled.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -53,6 +53,10 @@ class LimbPlaces:
     def index(self) -> tuple[IntArray, IntArray]:
         """Line and pixel, to look up planes of the picture."""
         return self.line.astype(np.int64), self.pixel.astype(np.int64)
+
+    def in_order(self, order: IntArray) -> "LimbPlaces":
+        """Return the same places in another order (n,)."""
+        return LimbPlaces(*(getattr(self, each.name)[order] for each in fields(self)))
 
 
 def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPlaces:
@@ -128,14 +132,13 @@ def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:
 def gathered(
     cell: IntArray, weight: FloatArray, data: FloatArray, columns: FloatArray, pieces: int, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return weights and means of data (j, c) and of columns (p, j, c) over the cells of n pixels."""
-    c = len(edges) - 1
-    size = pieces * c
-
-    def total(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(cell, values, size).reshape(pieces, c), dtype=np.float64)
-
-    whole = total(weight)
+    """Return weights and means of data (j, c) and of columns (p, j, c) over the cells of n pixels, in ascending order."""
+    firsts = np.flatnonzero(np.diff(cell, prepend=-1))
+    sums = np.zeros((len(columns) + 2, pieces * (len(edges) - 1)))
+    np.multiply(columns, weight, out=(weighted := np.empty((len(columns) + 2, len(cell))))[2:])
+    weighted[0], weighted[1] = weight, weight * data
+    sums[:, cell[firsts]] = np.add.reduceat(weighted, firsts, axis=1)
+    whole, *means = sums.reshape(len(sums), pieces, -1)
     share = 1.0 / np.where(whole > 0.0, whole, np.inf)
-    means = np.stack([total(weight * column) * share for column in columns])
-    return whole, total(weight * data) * share, means
+    means = np.asarray(means) * share
+    return whole, means[0], means[1:]

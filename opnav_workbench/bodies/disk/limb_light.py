@@ -153,14 +153,15 @@ class LimbLight:
         along, part = column - j, row - i
         rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
         rows = rows if self.fine else [(0, 1.0 - part), (1, part)]
-        index, weight = [], []
-        for jump, share in rows:
-            here = (i + jump) % t * n + j
-            index += [here, here + 1]
-            weight += [share * (1.0 - along), share * along]
-        ends = np.arange(len(row) + 1) * len(index)
-        places = (np.stack(weight, axis=1).ravel(), np.stack(index, axis=1).ravel(), ends)
-        lookup = sparse.csr_array(places, shape=(len(row), t * n))
+        index = np.empty((len(row), len(rows), 2), dtype=np.int64)
+        weight = np.empty(index.shape)
+        for k, (jump, share) in enumerate(rows):
+            index[:, k, 0] = (i + jump) % t * n + j
+            np.multiply(share, along, out=weight[:, k, 1])
+            np.subtract(share, weight[:, k, 1], out=weight[:, k, 0])
+        np.add(index[..., 0], 1, out=index[..., 1])
+        ends = np.arange(len(row) + 1) * (2 * len(rows))
+        lookup = sparse.csr_array((weight.ravel(), index.ravel(), ends), shape=(len(row), t * n))
         found = [(lookup @ plane.reshape(t * n, -1)).T for plane in planes]
         return np.concatenate(found, out=np.empty((sum(map(len, found)), len(row))))
 

@@ -21,6 +21,7 @@ from opnav_workbench.bodies.disk.fit import (
     disk_columns,
     fit_disk,
 )
+from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -419,17 +420,11 @@ def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
 
 def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
     """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
-    line, pixel = np.nonzero(wanted)
-    away = np.hypot(pixel - fit.center_px[0], line - fit.center_px[1])
-    reach = (
-        fit.outline.diameter_px,
-        max(float(away.max(initial=0.0) - fit.outline.radius_px.min()), 0.0) + 1.0,
-    )
-    near, columns = disk_columns(fit.made, fit.shape, wanted.shape, reach, on_slopes=fit.prior.on_slopes)
-    kept = wanted[near.index]
-    here = tuple(at[kept] for at in near.index)
-    model = replace(fit, pixels=near, columns=columns).model_dn()[kept]
-    light = fit.brightness_dn * columns[RELIEF][kept]
+    line, pixel = here = np.nonzero(wanted)
+    near = limb_places(fit.outline, pixel.astype(np.float64), line.astype(np.float64))
+    columns = disk_columns(fit.made, fit.shape, fit.outline, near, on_slopes=fit.prior.on_slopes)
+    model = replace(fit, pixels=near, columns=columns).model_dn()
+    light = fit.brightness_dn * columns[RELIEF]
     noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
     square, wide = (pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise
 

@@ -24,7 +24,7 @@ from opnav_workbench.bodies.disk.fit import (
     columns_dn,
     disk_columns,
 )
-from opnav_workbench.bodies.disk.limb_cells import depth_edges
+from opnav_workbench.bodies.disk.limb_cells import depth_edges, limb_pixels
 from opnav_workbench.bodies.disk.limb_field import piece_angles
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan, ScanSampler, lay_fan
@@ -148,10 +148,9 @@ def _window(disk: MeasuredDisk, outline: Outline, outward_px: float) -> tuple[in
 def _strip_columns(disk: MeasuredDisk, shape: DiskShape) -> tuple[tuple[IntArray, IntArray], FloatArray]:
     """Return line and pixel (m,) of the strip; light, its changes with limb and `COMMON`, its parts (2 + p + k, m)."""
     fit = disk.fit
-    reach = fit.reach_px[0] + MARGIN_PX, fit.reach_px[1] + MARGIN_PX
-    near, columns = disk_columns(
-        fit.made, shape, disk.pixels.use.shape, reach, on_slopes=fit.prior.on_slopes, rough=False
-    )
+    outline = fit.made.outline(shape, rough=False)
+    near = limb_pixels(outline, disk.pixels.use.shape, *(reach + MARGIN_PX for reach in fit.reach_px))
+    columns = disk_columns(fit.made, shape, outline, near, on_slopes=fit.prior.on_slopes)
     here = replace(fit, pixels=near, columns=columns)
     light, dn = here.even_dn(), columns_dn(columns, fit.brightness_dn, here.lit_dn)
     dn[FIGURE[1:]] += dn[SHADED]
