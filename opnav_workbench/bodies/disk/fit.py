@@ -239,6 +239,8 @@ class DiskFit:
 
     Attributes
     ----------
+    place
+        From which it began.
     outline, smooth_outline
         At the solution, with the heights of its pieces and without.
     made
@@ -269,6 +271,7 @@ class DiskFit:
         Whether the light that the solution means is far from what was tabulated.
     """
 
+    place: BodyPlace
     shape: DiskShape
     outline: Outline
     smooth_outline: Outline
@@ -666,6 +669,7 @@ class _Fitter:
         near = limb_pixels(outline, plane, *self.problem.reach)
         columns = disk_columns(self.made, self.shape, outline, near, on_slopes=self.prior.on_slopes)
         return DiskFit(
+            place=self.problem.place,
             shape=self.shape,
             outline=outline,
             smooth_outline=self.made.outline(self.shape, rough=False),

@@ -141,8 +141,8 @@ def disk_at(
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
-            fit, crossing = _along_its_light(picture, name, place, pixels, fit, crossing)
-        fit = _over_sizes(picture, name, place, pixels, fit)
+            fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
+        fit = _over_sizes(picture, name, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
@@ -344,12 +344,7 @@ def _from_crossings(
 
 
 def _along_its_light(
-    picture: BodyPicture,
-    name: str,
-    place: BodyPlace,
-    pixels: DiskPixels,
-    fit: DiskFit,
-    crossing: CrossingFit | None,
+    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit | None
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return a fit that goes along its own light, if that explains more and the crossings confirm it; else the fit.
 
@@ -357,7 +352,7 @@ def _along_its_light(
     is led away by light of no model explains more as well, but hardly knows the center any longer.
     """
     try:
-        other = fit_disk(picture, name, place, pixels, follows_light=True)
+        other = fit_disk(picture, name, fit.place, pixels, fit if fit.converged else None, follows_light=True)
         wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
         if wide or not other.converged or likelier(pixels, fit, other) is fit:
             return fit, crossing
@@ -378,9 +373,7 @@ LEAST_GROWTH_PX = 0.02  # of the radius, for a size that is not known
 LEVELED = 3.0  # likelihoods of two fits differ by some units for their cells alone
 
 
-def _over_sizes(
-    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit
-) -> DiskFit:
+def _over_sizes(picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit) -> DiskFit:
     """Return a small disk's fit with how far its center moves with the size in its covariance, as likely as each is."""
     sigma, radius = fit.figure.size_sigma, 0.5 * fit.outline.diameter_px
     small = radius < SMALL_WIDTHS * np.sqrt(psf_variance(picture.psf))
@@ -389,7 +382,7 @@ def _over_sizes(
     others = []
     for log_size in sigma * np.array(SIZES):
         there = replace(
-            place, center_px=fit.center_px, size_ratio=float(np.exp(log_size)), strain=fit.shape.strain[:2]
+            fit.place, center_px=fit.center_px, size_ratio=float(np.exp(log_size)), strain=fit.shape.strain[:2]
         )
         try:
             others.append(fit_disk(picture, name, there, pixels, held_log_size=float(log_size)))
