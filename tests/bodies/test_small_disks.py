@@ -38,8 +38,8 @@ def test_sizes_that_are_as_likely_belong_to_the_sigma(monkeypatch, sample):
         scores.append(float(np.mean(chi2 + width)))
         ratios.append(float(np.sqrt(0.5 * chi2.mean())))
     # Minus twice the logarithm of the likelihood of the errors, and the ratio itself
-    assert scores[0] < scores[1]
-    assert ratios[0] < 0.9 * ratios[1]
+    assert scores[0] < scores[1] - 0.2
+    assert ratios[0] < 0.95 * ratios[1]
     for sized, alone in zip(*fits, strict=True):  # the center is the same
         np.testing.assert_array_equal(sized.center_px, alone.center_px)
         assert np.all(np.linalg.eigvalsh(sized.unrest_px2 - alone.unrest_px2) > -1e-12)

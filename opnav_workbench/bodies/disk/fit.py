@@ -266,7 +266,8 @@ class DiskFit:
         Variance of the center over what excess makes of it, by how pieces of limb pull it
         (`opnav_workbench.bodies.disk.limb_scatter`).
     unrest_px2 : (2, 2) array
-        Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one.
+        Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one, and
+        how far the solution there would still move.
     extrapolated
         Whether the light that the solution means is far from what was tabulated.
     """
@@ -689,9 +690,15 @@ class _Fitter:
             converged=self.converged,
             excess=excess,
             scatter=limb_scatter(self.linear.system.scores(self.prior, CENTER), excess),
-            unrest_px2=WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px) + self.unrest_px2,
+            unrest_px2=self._unrest_px2(),
             extrapolated=self._stale(NEW, self._meant()),
         )
+
+    def _unrest_px2(self) -> FloatArray:
+        """Return by how much (2, 2) the center is off as it wandered, and as the last solution would still move it."""
+        wants = self.linear.solution.theta[CENTER]
+        wandered = WANDERED_SHARE**2 * np.outer(self.wandered_px, self.wandered_px)
+        return np.asarray(wandered + self.unrest_px2 + np.outer(wants, wants))
 
     def _meant(self) -> DiskShape:
         """Return the shape with the light that the solution means."""
@@ -1048,7 +1055,7 @@ class _Fitter:
             return kept.seen_from(outline)
         near = problem.samples(outline)
         cell = cell_of(near.places, problem.pieces, problem.edges)
-        order = np.argsort(cell, kind="stable")  # neighbors are looked up in the same part of the tables: half of the time
+        order = np.argsort(cell, kind="stable")  # looked up where the tables lie together: half of the time
         return _CelledSamples(outline, near.in_order(order), cell[order])
 
     def _cells(self, celled: _CelledSamples, columns: FloatArray) -> _Cells:

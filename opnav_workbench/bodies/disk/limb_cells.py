@@ -132,13 +132,14 @@ def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:
 def gathered(
     cell: IntArray, weight: FloatArray, data: FloatArray, columns: FloatArray, pieces: int, edges: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return weights and means of data (j, c) and of columns (p, j, c) over the cells of n pixels, in ascending order."""
-    firsts = np.flatnonzero(np.diff(cell, prepend=-1))
-    sums = np.zeros((len(columns) + 2, pieces * (len(edges) - 1)))
-    np.multiply(columns, weight, out=(weighted := np.empty((len(columns) + 2, len(cell))))[2:])
-    weighted[0], weighted[1] = weight, weight * data
-    sums[:, cell[firsts]] = np.add.reduceat(weighted, firsts, axis=1)
-    whole, *means = sums.reshape(len(sums), pieces, -1)
+    """Return weights and means of data (j, c) and of columns (p, j, c) over the cells of n pixels."""
+    c = len(edges) - 1
+    size = pieces * c
+
+    def total(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(cell, values, size).reshape(pieces, c), dtype=np.float64)
+
+    whole = total(weight)
     share = 1.0 / np.where(whole > 0.0, whole, np.inf)
-    means = np.asarray(means) * share
-    return whole, means[0], means[1:]
+    means = np.stack([total(weight * column) * share for column in columns])
+    return whole, total(weight * data) * share, means

@@ -157,8 +157,7 @@ class LimbLight:
         weight = np.empty(index.shape)
         for k, (jump, share) in enumerate(rows):
             index[:, k, 0] = (i + jump) % t * n + j
-            np.multiply(share, along, out=weight[:, k, 1])
-            np.subtract(share, weight[:, k, 1], out=weight[:, k, 0])
+            weight[:, k, 0], weight[:, k, 1] = share * (1.0 - along), share * along
         np.add(index[..., 0], 1, out=index[..., 1])
         ends = np.arange(len(row) + 1) * (2 * len(rows))
         lookup = sparse.csr_array((weight.ravel(), index.ravel(), ends), shape=(len(row), t * n))

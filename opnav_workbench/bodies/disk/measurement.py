@@ -142,7 +142,7 @@ def disk_at(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-        fit = _over_sizes(picture, name, pixels, fit)
+        fit = _over_sizes(picture, name, place, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
@@ -373,7 +373,9 @@ LEAST_GROWTH_PX = 0.02  # of the radius, for a size that is not known
 LEVELED = 3.0  # likelihoods of two fits differ by some units for their cells alone
 
 
-def _over_sizes(picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit) -> DiskFit:
+def _over_sizes(
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit
+) -> DiskFit:
     """Return a small disk's fit with how far its center moves with the size in its covariance, as likely as each is."""
     sigma, radius = fit.figure.size_sigma, 0.5 * fit.outline.diameter_px
     small = radius < SMALL_WIDTHS * np.sqrt(psf_variance(picture.psf))
@@ -382,7 +384,7 @@ def _over_sizes(picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFi
     others = []
     for log_size in sigma * np.array(SIZES):
         there = replace(
-            fit.place, center_px=fit.center_px, size_ratio=float(np.exp(log_size)), strain=fit.shape.strain[:2]
+            place, center_px=fit.center_px, size_ratio=float(np.exp(log_size)), strain=fit.shape.strain[:2]
         )
         try:
             others.append(fit_disk(picture, name, there, pixels, held_log_size=float(log_size)))
