@@ -120,6 +120,7 @@ class Silhouette:
             )
         self.picture, self.name, self.shape = picture, name, model.shape
         self._edges = None if model.shape is None else _shared_edges(model.shape)
+        self._outlines: dict[tuple[float, ...], Outline] = {}  # asked for again and again at the same place
 
     def at(self, center_px: FloatArray, range_scale: float = 1.0) -> Outline:
         """Return the outline with the center of figure at `center_px`, the range scaled.
@@ -129,10 +130,15 @@ class Silhouette:
         CenterfindingError
             The body there leaves what the camera model covers.
         """
-        model = displaced_model(self.picture, self.name, center_px, range_scale)
-        center = np.asarray(center_px, dtype=np.float64)
-        radius = self._ellipsoid_radius(model, center) if self.shape is None else self._plates(model, center)
-        return Outline(center, _grid(), radius)
+        center = np.array(center_px, dtype=np.float64)
+        where = (*center.tolist(), range_scale)
+        if where not in self._outlines:
+            model = displaced_model(self.picture, self.name, center, range_scale)
+            radius = (
+                self._ellipsoid_radius(model, center) if self.shape is None else self._plates(model, center)
+            )
+            self._outlines[where] = Outline(center, _grid(), radius)
+        return self._outlines[where]
 
     def _project(self, directions: FloatArray) -> FloatArray:
         picture = self.picture
