@@ -416,8 +416,9 @@ def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
 def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
     """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
     line, pixel = here = np.nonzero(wanted)
-    near = limb_places(fit.outline, pixel.astype(np.float64), line.astype(np.float64))
-    columns = disk_columns(fit.made, fit.shape, fit.outline, near, on_slopes=fit.prior.on_slopes)
+    outline = fit.made.outline(fit.shape)
+    near = limb_places(outline, pixel.astype(np.float64), line.astype(np.float64))
+    columns = disk_columns(fit.made, fit.shape, outline, near, on_slopes=fit.prior.on_slopes)
     model = replace(fit, pixels=near, columns=columns).model_dn()
     light = fit.brightness_dn * columns[RELIEF]
     noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
