@@ -32,7 +32,8 @@ def archive(make_run, tmp_path_factory):
         result["bodies"][1]["status"] = "uncertain"
 
     def off(result, session):
-        result["bodies"][0]["residual_px"][0] += 1.0
+        body = result["bodies"][0]
+        body["residual_px"][0] += 15.0 * np.sqrt(body["covariance_with_pointing_px2"][0][0])
 
     for i in range(20):
         edit = {19: doubtful, 7: off}.get(i, lambda result, session: None)
