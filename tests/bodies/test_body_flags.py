@@ -221,12 +221,12 @@ def test_renderings_and_pixels_of_a_joint_fit_grow_as_its_bodies_do(body_stage, 
     draw = focal_plane.draw_body_light
     monkeypatch.setattr(focal_plane, "draw_body_light", lambda *a: counts.append(1) or draw(*a))
     largest = (
-        2.0 * (6.0 + 60.0)
+        2.0 * (8.0 + 60.0)
     ) ** 2  # px: a body, its PSF and the sky beside it, not the frame they are spread over
 
     def drawn(n):
         places = [(150.0 + 200.0 * (i % 4), 200.0 + 200.0 * (i // 4)) for i in range(n)]
-        models = [body_stage.body(12.0, 30.0, place, name=f"B{i}") for i, place in enumerate(places)]
+        models = [body_stage.body(16.0, 30.0, place, name=f"B{i}") for i, place in enumerate(places)]
         light = body_stage.light(*models)
         picture = body_stage.picture(light, models, np.random.default_rng(2), offset_px=(3.0, 2.0))
         counts.clear()

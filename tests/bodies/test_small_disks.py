@@ -28,9 +28,14 @@ def _fit(trial):
 def test_sizes_that_are_as_likely_belong_to_the_sigma(monkeypatch, sample):
     scores, ratios = [], []
     trials = [make_trial(setup) for setup in _patchy()[: sample.trials(TRIALS)]]
-    fits = [[_fit(trial) for trial in trials]]
-    monkeypatch.setattr(measurement, "SIZES", ())
-    fits.append([_fit(trial) for trial in trials])
+    alone, over_sizes = [], measurement._over_sizes
+
+    def kept(picture, name, place, pixels, fit):
+        alone.append(fit)
+        return over_sizes(picture, name, place, pixels, fit)
+
+    monkeypatch.setattr(measurement, "_over_sizes", kept)
+    fits = [[_fit(trial) for trial in trials], alone]
     for each in fits:
         off = [fit.center_px - trial.truth_px for fit, trial in zip(each, trials, strict=True)]
         chi2 = np.array([o @ np.linalg.solve(f.covariance_px2, o) for o, f in zip(off, each, strict=True)])
@@ -40,9 +45,9 @@ def test_sizes_that_are_as_likely_belong_to_the_sigma(monkeypatch, sample):
     # Minus twice the logarithm of the likelihood of the errors, and the ratio itself
     assert scores[0] < scores[1] - 0.2
     assert ratios[0] < 0.95 * ratios[1]
-    for sized, alone in zip(*fits, strict=True):  # the center is the same
-        np.testing.assert_array_equal(sized.center_px, alone.center_px)
-        assert np.all(np.linalg.eigvalsh(sized.unrest_px2 - alone.unrest_px2) > -1e-12)
+    for sized, one in zip(*fits, strict=True):  # the center is the same
+        np.testing.assert_array_equal(sized.center_px, one.center_px)
+        assert np.all(np.linalg.eigvalsh(sized.unrest_px2 - one.unrest_px2) > -1e-12)
 
 
 @pytest.mark.parametrize(
