@@ -205,7 +205,8 @@ class TestDisplayPictures:
         )
         damaged[kind : kind + 10] = struct.pack("<HII", 5, 3, 1 << 30)  # its width: rationals beyond the end
         path.write_bytes(damaged)
-        assert "TIFF" in error_of(path)
+        message = error_of(path)
+        assert "TIFF" in message or "shape (0, 0)" in message  # newer tifffiles make an empty picture of it
         assert not caplog.records
 
     @pytest.mark.parametrize(
