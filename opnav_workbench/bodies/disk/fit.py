@@ -532,6 +532,8 @@ def fit_disk(
 ) -> DiskFit:
     """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
 
+    A fit that has not come to rest is no place to begin from: other light may have led it away.
+
     Parameters
     ----------
     follows_light
@@ -552,7 +554,8 @@ def fit_disk(
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    fitter = _Fitter(problem, shape, start, follows_light=follows_light)
+    rested = start if start is not None and start.converged else None
+    fitter = _Fitter(problem, shape, rested, follows_light=follows_light)
     return fitter.run(MOST_FINE if held_log_size is None else 0)
 
 

@@ -135,8 +135,7 @@ def disk_at(
         hits = _hits(fit, pixels)
         if hits.any():
             pixels = replace(pixels, use=pixels.use & ~hits)
-            # What other light had led away is no place to begin from.
-            fit = fit_disk(picture, name, place, pixels, fit if fit.converged else None)
+            fit = fit_disk(picture, name, place, pixels, fit)
         crossing = read_crossings(picture, fit)
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
@@ -352,7 +351,7 @@ def _along_its_light(
     is led away by light of no model explains more as well, but hardly knows the center any longer.
     """
     try:
-        other = fit_disk(picture, name, fit.place, pixels, fit if fit.converged else None, follows_light=True)
+        other = fit_disk(picture, name, fit.place, pixels, fit, follows_light=True)
         wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
         if wide or not other.converged or likelier(pixels, fit, other) is fit:
             return fit, crossing
