@@ -43,6 +43,7 @@ from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
+from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
@@ -419,8 +420,9 @@ class _DiskProblem:
         self.law_prior = _law_prior(model)
         own = own_share(model.law, float(picture.phase_rad(name)))
         self.law_bounds = LAW_BOUNDS - [own, 0.0]
-        self.psf_px = float(np.max(picture.psf.sigma_px))
         self.psf_variance_px2 = psf_variance(picture.psf)
+        # Pixels show nothing narrower than they are
+        self.psf_px = max(float(np.max(picture.psf.sigma_px)), float(np.sqrt(PIXEL_VARIANCE_PX2)))
         inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
         self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
         self.edges = depth_edges(*self.reach, self.psf_px)
