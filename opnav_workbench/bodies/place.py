@@ -87,6 +87,7 @@ LEVELS = (0.04, 0.12, 0.35)  # of the bright part of the body: what counts as li
 SKY_SIGMAS = 5.0
 BRIGHT_RANK = 0.3  # of the lit pixels: as bright as this is bright
 LIT_SHARE = 0.02  # of the model's brightest part
+KNOWN_SHARE = 0.25  # of the pixels of a bin: every other line may be missing
 RING_SHARE = 0.35  # of the radius: sky about the body that must be dark
 LEAST_VISIBLE = 0.04  # of the lit silhouette that must lie on the detector
 
@@ -175,7 +176,7 @@ def _binned(
     data = np.where(usable, signal, 0.0)
     count = block_reduce(usable.astype(np.float64), bins, np.sum)
     total = block_reduce(data, bins, np.sum)
-    known = count > 0.5 * bins**2
+    known = count > KNOWN_SHARE * bins**2
     noise = float(np.median(noise_dn[usable])) if usable.any() else np.inf
     return np.where(known, total / np.maximum(count, 1.0), 0.0), noise / bins, known
 
@@ -317,6 +318,8 @@ STEEPER = 0.02  # in the logarithm, over three widths of the PSF: at a limb than
 FLOOR_SHARE = 0.25  # of what is faint: the sky, where light is told in proportion
 LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
 INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
+# Of what an interpolation rests on: usable pixels; of all places, those with enough of them; and where too few have.
+WHOLE_SHARE, MOSTLY_WHOLE, LEAST_SHARE = 0.95, 0.5, 0.02
 NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
 LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
 FEWEST_CROSSINGS = 8
@@ -454,6 +457,10 @@ def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Pro
 
 
 def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the picture at places (n, m, 2), and which of them show it.
+
+    Where most of them touch a missing pixel, as with every other line lost, those that are left have to do for both.
+    """
     usable = picture.shown()
     where = [places[..., 1], places[..., 0]]
     data = map_coordinates(np.where(usable, picture.signal_dn, 0.0), where, order=1, mode="nearest")
@@ -466,7 +473,10 @@ def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, Bool
     )
     if not usable.all():
         share = map_coordinates(usable.astype(np.float64), where, order=1, mode="nearest")
-        inside &= share > 0.95
+        whole = share > WHOLE_SHARE
+        if np.mean(whole) < MOSTLY_WHOLE:
+            whole, data = share > LEAST_SHARE, data / np.maximum(share, LEAST_SHARE)
+        inside &= whole
     return data, inside
 
 
