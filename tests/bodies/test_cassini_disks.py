@@ -1,12 +1,15 @@
 """Real disks of Dione and Rhea with an operator's limb; their Sun is rough by degrees, their light a display's."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import judged_disk, measure_disk
+from opnav_workbench.bodies import find_disk, judged_disk, measure_disk
+from opnav_workbench.camera import read_out
 from opnav_workbench.kernels import KernelSet
+from opnav_workbench.psf import GaussianPsf
 from opnav_workbench.session import ImageSession
 from opnav_workbench.session.body_models import body_picture
 
@@ -53,3 +56,41 @@ def test_a_real_disk_is_where_its_limb_is(data_dir, case):
         away = place - limb["limb_center_pixel_line"]
         assert away @ np.linalg.solve(covariance + LIMB_PX**2 * np.eye(2), away) < 9.0
     assert np.hypot(*(center.pixel_line - limb["limb_center_pixel_line"])) < MEASURED[case]
+
+
+def binned(picture, n):
+    """The picture as a detector with pixels n times as large would have taken it: its PSF is then sharper than they are."""
+    camera = read_out(picture.camera, binning=(n, n))
+
+    def blocks(plane):
+        return plane[: n * camera.n_line, : n * camera.n_pixel].reshape(camera.n_line, n, camera.n_pixel, n)
+
+    usable = blocks(np.isfinite(picture.signal_dn) & ~picture.bad)
+    count = np.maximum(usable.sum(axis=(1, 3)), 1)
+    signal = np.where(usable, blocks(picture.signal_dn), 0.0).sum(axis=(1, 3)) / count
+    sigma, noise = float(np.max(picture.psf.sigma_px)) / n, picture.noise_model
+    return replace(
+        picture,
+        signal_dn=signal,
+        noise_dn=np.median(picture.noise_dn) / n,
+        bad=usable.mean(axis=(1, 3)) < 0.5,
+        saturated=blocks(picture.saturated).any(axis=(1, 3)),
+        camera=camera,
+        psf=GaussianPsf(sigma, sigma),
+        noise_model=replace(
+            noise,
+            read_noise_dn=noise.read_noise_dn / n,
+            gain_e_per_dn=noise.gain_e_per_dn * n**2,
+        ),
+    )
+
+
+@pytest.mark.parametrize("case", MEASURED)
+def test_a_real_disk_in_large_pixels_is_where_its_limb_is(data_dir, case):
+    """8 by 8 of them in one, 15 to 200 px wide: none of its limb was "lit and in sight", as cells about it were empty."""
+    picture, name, limb = opened(data_dir, case)
+    center = find_disk(binned(picture, 8), name)
+    assert center.status == "ok", center.messages
+    away = center.pixel_line - ((np.array(limb["limb_center_pixel_line"]) + 0.5) / 8 - 0.5)
+    assert np.hypot(*away) < 1.0
+    assert away @ np.linalg.solve(center.covariance_px2 + (LIMB_PX / 8) ** 2 * np.eye(2), away) < 9.0
