@@ -46,6 +46,7 @@ def find_ellipse(
     circle: Circle | None = None,
     solve_range: bool = True,
     search_radius_px: float | None = None,
+    quick: bool = False,
 ) -> BodyCenter:
     """Find a body's center of figure from its lit limb.
 
@@ -83,7 +84,7 @@ def find_ellipse(
     if 0.0 < diameter < LEAST_DIAMETER_PX:
         why = f"it is {diameter:.1f} px wide, too small for a limb (at least {LEAST_DIAMETER_PX:g} px); use 'auto'"
         return BodyCenter.without_center(name, METHOD, "failed", why)
-    disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
+    disk = measure_disk(picture, name, METHOD, circle, search_radius_px, quick=quick)
     if isinstance(disk, BodyCenter):
         return disk
     run = scan_limb(disk, N_SCANS, uneven=True)

@@ -7,7 +7,7 @@ import pytest
 from disk_exam import draw
 from disk_truth import TrialSetup, make_trial
 
-from opnav_workbench.bodies import measure_disk
+from opnav_workbench.bodies import find_disk, measure_disk
 from opnav_workbench.bodies.disk import measurement
 from opnav_workbench.render import FigureUncertainty
 
@@ -68,3 +68,15 @@ def test_other_sizes_are_fitted_where_they_may_be(monkeypatch, diameter_px, figu
     assert len(calls) == fits
     held = [call["held_log_size"] for call in calls if "held_log_size" in call]
     np.testing.assert_allclose(held, figure.size_sigma * np.array(measurement.SIZES[: len(held)]))
+
+
+def test_a_quick_look_is_one_fit(monkeypatch):
+    trial = make_trial(TrialSetup(seed=5, diameter_px=8.0, phase_deg=40.0))
+    calls = []
+    fit_disk = measurement.fit_disk
+    monkeypatch.setattr(measurement, "fit_disk", lambda *a, **k: calls.append(k) or fit_disk(*a, **k))
+    center = find_disk(trial.picture, trial.name, quick=True)
+    off = center.pixel_line - trial.truth_px
+    assert len(calls) == 1
+    assert center.status == "ok"
+    assert off @ np.linalg.solve(center.covariance_px2, off) < 9.0

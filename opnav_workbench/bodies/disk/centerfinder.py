@@ -38,6 +38,7 @@ def find_disk(
     circle: Circle | None = None,
     solve_range: bool = True,
     search_radius_px: float | None = None,
+    quick: bool = False,
 ) -> BodyCenter:
     """Find a body's center of figure from all pixels about its limb.
 
@@ -51,6 +52,9 @@ def find_disk(
         Tell the range as well: that of a body of the model's size, with the uncertainty of that size.
     search_radius_px
         How far from the expected place to look; None: anywhere.
+    quick
+        Fit the disk once, where it is found, and leave out the fits that begin elsewhere: for what is asked of a picture
+        once more, such as where the center lies if the Sun stands beside its place.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def find_disk(
     The covariance is marginal over the body's albedo (a Gaussian random field whose strength and correlation length
     follow from the picture), size, axes, topography of the limb, scattering law, PSF and background.
     """
-    disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
+    disk = measure_disk(picture, name, METHOD, circle, search_radius_px, quick=quick)
     return disk if isinstance(disk, BodyCenter) else judged_disk(disk, solve_range=solve_range)
 
 

@@ -6,6 +6,7 @@ Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.pla
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -106,9 +107,20 @@ class MeasuredDisk:
 
 @one_thread()
 def measure_disk(
-    picture: BodyPicture, name: str, method: str, circle: Circle | None, search_px: float | None
+    picture: BodyPicture,
+    name: str,
+    method: str,
+    circle: Circle | None,
+    search_px: float | None,
+    *,
+    quick: bool = False,
 ) -> MeasuredDisk | BodyCenter:
     """Find a body and fit its disk; a `BodyCenter` of the method without a center where that cannot be.
+
+    Parameters
+    ----------
+    quick
+        Leave out the fits that begin elsewhere than where the body is found.
 
     Raises
     ------
@@ -116,7 +128,9 @@ def measure_disk(
         No such body in the picture.
     """
     placed = placed_body(picture, name, method, circle, search_px)
-    return placed if isinstance(placed, BodyCenter) else disk_at(*placed, name, method, circle, search_px)
+    if isinstance(placed, BodyCenter):
+        return placed
+    return disk_at(*placed, name, method, circle, search_px, quick=quick)
 
 
 @one_thread()
@@ -127,6 +141,8 @@ def disk_at(
     method: str,
     circle: Circle | None,
     search_px: float | None,
+    *,
+    quick: bool = False,
 ) -> MeasuredDisk | BodyCenter:
     """Fit the disk of a body that `placed_body` has found; parameters as of `measure_disk`."""
     try:
@@ -137,11 +153,12 @@ def disk_at(
             pixels = replace(pixels, use=pixels.use & ~hits)
             fit = fit_disk(picture, name, place, pixels, fit)
         crossing = read_crossings(picture, fit)
-        if crossing is not None and not (fit.converged and alike(fit, crossing)):
-            fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
-        if fit.extrapolated:
-            fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-        fit = _over_sizes(picture, name, place, pixels, fit)
+        if not quick:
+            if crossing is not None and not (fit.converged and alike(fit, crossing)):
+                fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
+            if fit.extrapolated:
+                fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
+            fit = _over_sizes(picture, name, place, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
@@ -333,13 +350,7 @@ def _from_crossings(
         center_sigma_px=float(sigma) / PLACE_SIGMAS,
         strain=fit.shape.strain[:2] + crossing.strain,
     )
-    try:
-        other = fit_disk(picture, name, place, pixels)
-    except CenterfindingError:
-        return fit, crossing
-    if likelier(pixels, fit, other) is fit:
-        return fit, crossing
-    return other, read_crossings(picture, other)
+    return _likelier_one(picture, name, place, pixels, fit) or (fit, crossing)
 
 
 def _along_its_light(
@@ -350,18 +361,28 @@ def _along_its_light(
     Where it explains more and is not confirmed, neither is known to be right: half of the way to it is uncertain. One that
     is led away by light of no model explains more as well, but hardly knows the center any longer.
     """
-    try:
-        other = fit_disk(picture, name, fit.place, pixels, fit, follows_light=True)
-        wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
-        if wide or not other.converged or likelier(pixels, fit, other) is fit:
-            return fit, crossing
-        found = read_crossings(picture, other)
-    except CenterfindingError:
+    found = _likelier_one(picture, name, fit.place, pixels, fit, start=fit, follows_light=True)
+    if found is None:
         return fit, crossing
-    if alike(other, found):
-        return other, found
+    other, reading = found
+    wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
+    if wide or not other.converged:
+        return fit, crossing
+    if alike(other, reading):
+        return found
     away = WANDERED_SHARE * (other.center_px - fit.center_px)
     return replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away)), crossing
+
+
+def _likelier_one(
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit, **how: Any
+) -> tuple[DiskFit, CrossingFit | None] | None:
+    """Return another fit, and its crossings, if it explains the picture better than the one there is."""
+    try:
+        other = fit_disk(picture, name, place, pixels, **how)
+        return None if likelier(pixels, fit, other) is fit else (other, read_crossings(picture, other))
+    except CenterfindingError:
+        return None
 
 
 # Of a disk that is not much wider than the PSF, size, law, patches and place explain each other along a bent valley; a

@@ -46,6 +46,7 @@ def find_limb_scan(
     n_scans: int = N_SCANS,
     solve_range: bool = False,
     search_radius_px: float | None = None,
+    quick: bool = False,
 ) -> BodyCenter:
     """Find a body's center of figure with scans across its limb.
 
@@ -65,6 +66,8 @@ def find_limb_scan(
         Tell the range as well: that of a body of the model's size, with the uncertainty of that size.
     search_radius_px
         How far from its prediction (or circle) the body may be; None: anywhere.
+    quick
+        As of `opnav_workbench.bodies.find_disk`.
 
     Returns
     -------
@@ -84,7 +87,7 @@ def find_limb_scan(
             f"{n_scans} scans cannot give a center; use {FEWEST} at least, such as {N_SCANS}."
         )
     numbers = None if scans is None else checked_scan_numbers(scans, n_scans)
-    disk = measure_disk(picture, name, METHOD, circle, search_radius_px)
+    disk = measure_disk(picture, name, METHOD, circle, search_radius_px, quick=quick)
     if isinstance(disk, BodyCenter):
         return disk
     run = scan_limb(disk, n_scans, numbers)
