@@ -91,9 +91,9 @@ def find_center(context: Context, inputs: Inputs, state: SessionState, request: 
 
 
 def _center_as_lit(
-    context: Context, inputs: Inputs, state: SessionState, request: BodyRequest, *, again: bool = False
+    context: Context, inputs: Inputs, state: SessionState, request: BodyRequest, *, quick: bool = False
 ) -> BodyCenter:
-    """Find a body in the light of its Sun; `again`: lit otherwise than when it was found, for what that moves."""
+    """Find a body in the light of its Sun; `quick`: once more, lit otherwise, for what that moves."""
     name = request.name
     prediction = predict_body(
         target_with_shape(context, inputs, name),
@@ -110,14 +110,14 @@ def _center_as_lit(
         return BodyCenter.without_center(name, method, "failed", f"it cannot be drawn: {error}")
     options = search_options(context, inputs, state, request, prediction)
     if method == "disk":
-        center = find_disk(picture, name, quick=again, **options)
+        center = find_disk(picture, name, quick=quick, **options)
         if request.method == "auto" and center.status == "failed":
             return _otherwise(center, find_least_squares(picture, name, **options))
         return center
     if method == "limb_scan":
-        return find_limb_scan(picture, name, scans=scan_numbers(state, request), quick=again, **options)
+        return find_limb_scan(picture, name, scans=scan_numbers(state, request), quick=quick, **options)
     if method == "ellipse":
-        return find_ellipse(picture, name, quick=again, **options)
+        return find_ellipse(picture, name, quick=quick, **options)
     # A body with a map of its albedo has a truer model than the likelihood's.
     known = has_albedo_map(context, name)
     if method == "cross_correlation":
@@ -389,7 +389,7 @@ def _with_lighting(
     for pair in _suns_beside(target, body.lighting_sigma_rad):
         lit = [replace(target, sun_position_km=sun_km) for sun_km in pair]
         others = [replace(inputs, targets=MappingProxyType({**inputs.targets, request.name: t})) for t in lit]
-        found = [_center_as_lit(context, other, state, request, again=True) for other in others]
+        found = [_center_as_lit(context, other, state, request, quick=True) for other in others]
         moved = [c for c in found if c.pixel_line is not None]
         if not moved:
             continue

@@ -175,6 +175,17 @@ def test_pieces_of_limb_that_an_edge_cuts_weigh_less():
 
 
 @pytest.mark.slow
+def test_edges_within_pieces_of_limb_draw_no_center_along():
+    """0.12 or 0.15 px off, by the processor's rounding."""
+    trial = make_trial(
+        TrialSetup(4, 200.0, 25.0, family="blobs_1.0", contrast=9.0, law="lambert", peak_dn=1500.0)
+    )
+    fit = measure_disk(trial.picture, trial.name, "disk", None, None).fit
+    error = fit.center_px - trial.truth_px
+    assert error @ np.linalg.solve(fit.covariance_px2, error) < 14.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("setup", "most_px"),
     [

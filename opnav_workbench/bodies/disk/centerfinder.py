@@ -53,7 +53,7 @@ def find_disk(
     search_radius_px
         How far from the expected place to look; None: anywhere.
     quick
-        Fit the disk once, where it is found, and leave out the fits that begin elsewhere: for what is asked of a picture
+        Fit the disk only where it is found, and leave out the fits that begin elsewhere: for what is asked of a picture
         once more, such as where the center lies if the Sun stands beside its place.
 
     Returns

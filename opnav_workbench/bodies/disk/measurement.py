@@ -6,7 +6,6 @@ Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.pla
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.special import softmax
@@ -350,7 +349,7 @@ def _from_crossings(
         center_sigma_px=float(sigma) / PLACE_SIGMAS,
         strain=fit.shape.strain[:2] + crossing.strain,
     )
-    return _likelier_one(picture, name, place, pixels, fit) or (fit, crossing)
+    return _likelier_one(picture, name, place, pixels, fit, follows_light=False) or (fit, crossing)
 
 
 def _along_its_light(
@@ -361,7 +360,7 @@ def _along_its_light(
     Where it explains more and is not confirmed, neither is known to be right: half of the way to it is uncertain. One that
     is led away by light of no model explains more as well, but hardly knows the center any longer.
     """
-    found = _likelier_one(picture, name, fit.place, pixels, fit, start=fit, follows_light=True)
+    found = _likelier_one(picture, name, fit.place, pixels, fit, follows_light=True)
     if found is None:
         return fit, crossing
     other, reading = found
@@ -375,11 +374,21 @@ def _along_its_light(
 
 
 def _likelier_one(
-    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit, **how: Any
+    picture: BodyPicture,
+    name: str,
+    place: BodyPlace,
+    pixels: DiskPixels,
+    fit: DiskFit,
+    *,
+    follows_light: bool,
 ) -> tuple[DiskFit, CrossingFit | None] | None:
-    """Return another fit, and its crossings, if it explains the picture better than the one there is."""
+    """Return another fit, and its crossings, if it explains the picture better than the one there is.
+
+    One that follows its light goes on from there.
+    """
+    start = fit if follows_light else None
     try:
-        other = fit_disk(picture, name, place, pixels, **how)
+        other = fit_disk(picture, name, place, pixels, start, follows_light=follows_light)
         return None if likelier(pixels, fit, other) is fit else (other, read_crossings(picture, other))
     except CenterfindingError:
         return None
