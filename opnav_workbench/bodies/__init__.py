@@ -73,6 +73,7 @@ if TYPE_CHECKING:
         displaced_model,
         model_picture,
         picture_from_circle,
+        standing_at,
         stated_psf_sigma,
     )
     from opnav_workbench.bodies.results import (
@@ -112,6 +113,7 @@ else:  # loaded on first use: most calls need a few of these
             "displaced_model": "picture",
             "model_picture": "picture",
             "picture_from_circle": "picture",
+            "standing_at": "picture",
             "Lighting": "lighting",
             "fit_lighting": "lighting",
             "stated_psf_sigma": "picture",
@@ -173,5 +175,6 @@ __all__ = [
     "measure_disk",
     "model_picture",
     "picture_from_circle",
+    "standing_at",
     "stated_psf_sigma",
 ]

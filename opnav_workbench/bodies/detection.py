@@ -19,15 +19,16 @@ from opnav_workbench.bodies.disk.measurement import (
     disk_at,
     placed_body,
     sigmas_apart,
+    with_true_sky,
 )
 from opnav_workbench.bodies.neighbours import edge_reach, near_bodies
-from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture
+from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture, standing_at
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.residuals import surface_excess
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.scene_fit import SceneFit, SceneState
 from opnav_workbench.bodies.strained import strained_picture
-from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, outline_radius_px, search_radius
+from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, outline_radius_px
 
 __all__ = [
     "DetectedScene",
@@ -113,9 +114,10 @@ class FoundBody:
 
 
 def _found_body(
-    picture: BodyPicture, name: str, circle: Circle | None, search_px: float | None, search: SearchRequest
-) -> tuple[BodyPicture, FoundBody] | BodyCenter:
-    """Find a body and measure its disk, or say why it is not seen; the picture has its sky made sure of."""
+    picture: BodyPicture, name: str, circle: Circle | None, search: SearchRequest
+) -> FoundBody | BodyCenter:
+    """Find a body and measure its disk, or say why it is not seen."""
+    search_px = search.search_radius_px
     placed = placed_body(picture, name, search.method, circle, search_px)
     if isinstance(placed, BodyCenter):
         return placed
@@ -127,9 +129,9 @@ def _found_body(
             name, search.method, "saturated", message, flags=int(BodyFlag.OVEREXPOSED)
         )
     if name in search.known_surfaces:
-        return picture, FoundBody(name, circle, search_px, place, None)
+        return FoundBody(name, circle, search_px, place, None)
     disk = disk_at(picture, place, name, search.method, circle, search_px)
-    return picture, FoundBody(name, circle, search_px, place, disk)
+    return FoundBody(name, circle, search_px, place, disk)
 
 
 def _saturated_share(picture: BodyPicture, name: str, place: BodyPlace) -> float:
@@ -206,39 +208,30 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
     """Find bodies, the largest first: its shift against the prediction is expected of the others too."""
     found: dict[str, FoundBody] = {}
     missed: dict[str, BodyCenter] = {}
-    seen, shift = picture, None
+    seen, shift = with_true_sky(picture), np.zeros(2)
     for name in sorted(names, key=lambda name: -outline_radius_px(picture, name)):
-        result = _found_body(picture, name, *_expected(picture, name, search, shift), search)
-        if isinstance(result, BodyCenter):
-            missed[name] = result
+        circle = search.circles.get(name)
+        standing = {other: body.center_px for other, body in found.items()}
+        expected = {name: picture.center_px(name) + shift} if found and circle is None else {}
+        body = _found_body(standing_at(seen, standing | expected, standing), name, circle, search)
+        if isinstance(body, BodyCenter):
+            missed[name] = body
             continue
-        seen, found[name] = result
-        if shift is None:
-            shift = found[name].center_px - picture.center_px(name)
+        if not found:
+            shift = body.center_px - picture.center_px(name)
+        found[name] = body
     touching = {
         name: place
         for body in found.values()
         for name, place in near_bodies(picture, body.name, body.center_px).items()
         if name not in names
     }
-    common = np.zeros(2) if shift is None else shift
     apart = {
-        name: picture.center_px(name) + common
+        name: picture.center_px(name) + shift
         for name in (model.target.name for model in picture.models)
         if name not in names and name not in touching
     }
     return DetectedScene(seen, found, missed, touching, apart)
-
-
-def _expected(
-    picture: BodyPicture, name: str, search: SearchRequest, shift: FloatArray | None
-) -> tuple[Circle | None, float | None]:
-    """Return where a body is expected, and how far from there it is looked for."""
-    circle = search.circles.get(name)
-    center, radius = picture.center_px(name), 0.5 * picture.diameter_px(name)
-    if circle is not None or shift is None or not (radius > 0.0 and np.isfinite(center).all()):
-        return circle, search.search_radius_px
-    return Circle(center + shift, radius), search_radius(radius, None, search.search_radius_px)
 
 
 def start_state(detected: DetectedScene, *, solve_range: bool = False) -> SceneState:

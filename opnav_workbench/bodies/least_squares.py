@@ -61,8 +61,8 @@ def find_jointly(
     solve_range
         Solve for the range of each from the size of its image.
     search_radius_px
-        How far from their predictions (or circles) the bodies may be; by default the largest anywhere, the others 1.2
-        radii beside its shift, at least 12 px; half the radius of an analyst's circle.
+        How far from where they are expected (or from circles) the bodies may be; by default anywhere, nearer places
+        first; half the radius of an analyst's circle.
     known_surfaces
         Bodies whose model is truer than the likelihood of their disk, which knows no map of an albedo: their centers
         stand for themselves.

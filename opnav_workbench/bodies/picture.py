@@ -8,6 +8,7 @@ Units  DN above the background, km, px
 """
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,6 +37,7 @@ __all__ = [
     "pixel_rays",
     "placed_models",
     "sized_target",
+    "standing_at",
     "stated_psf_sigma",
     "sunlight_electrons",
 ]
@@ -110,7 +112,9 @@ class BodyPicture:
     observer_velocity_km_s : (3,) array
         With respect to the solar-system barycenter, J2000.
     models
-        Every body of the scene at its a priori state; they hide and shade each other.
+        Every body of the scene where it is expected; they hide and shade each other.
+    found
+        Names of those that stand where they were found: an error of the prediction that others share is not theirs.
     sunlight_e
         Electrons of the Sun at 1 au as a point, see `opnav_workbench.render.render_bodies`; None where the camera's
         response is not known, and brightnesses are then relative.
@@ -141,6 +145,7 @@ class BodyPicture:
     noise_model: NoiseModel | None = None
     excess_sigma_px: float = 0.0
     psf_width_sigma: float = MEASURED_PSF_SIGMA
+    found: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal_dn, dtype=np.float64)
@@ -208,7 +213,7 @@ class BodyPicture:
         )
 
     def center_px(self, name: str) -> FloatArray:
-        """Return a body's predicted center of figure (pixel, line); nan behind the camera."""
+        """Return where a body's center of figure is expected (pixel, line); nan behind the camera."""
         return self.prediction(name).pixel_line
 
     def diameter_px(self, name: str) -> float:
@@ -330,6 +335,20 @@ def placed_models(
 
     names = (model.target.name for model in picture.models)
     return tuple(placed(name) for name in names if only is None or name in only)
+
+
+def standing_at(
+    picture: BodyPicture, places_px: Mapping[str, ArrayLike], found: Collection[str] = ()
+) -> BodyPicture:
+    """Return the picture with bodies expected at places (2,), those of them named in `found` because they were found there.
+
+    A body whose place the camera model does not cover is expected where it was.
+    """
+    models = {model.target.name: model for model in picture.models}
+    for name in models.keys() & places_px.keys():
+        with suppress(CenterfindingError):
+            models[name] = displaced_model(picture, name, places_px[name])
+    return replace(picture, models=tuple(models.values()), found=picture.found | frozenset(found))
 
 
 def sunlight_electrons(picture: BodyPicture) -> float:

@@ -20,11 +20,12 @@ from scipy.ndimage import gaussian_filter1d, map_coordinates, maximum_filter
 from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.neighbours import near_bodies, without_others
+from opnav_workbench.bodies.neighbours import edge_reach, near_bodies, without_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.place_search import search_place
 from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
+from opnav_workbench.bodies.spilled import without_spilled
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import search_radius
 from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
@@ -96,6 +97,8 @@ NEAR_SCORE, NEAR_SHARE = (
     0.75,
     0.85,
 )  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
+LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipped and small), of stars and hits 0.1 to 0.3
+SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
 POINTLIKE_PX = 3.0  # a smaller body may be any star: it is looked for only near its expected place
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
 
@@ -119,12 +122,60 @@ def find_place(
     near = search_radius(predicted * ratio, None)
     if limit is None and 2.0 * predicted < POINTLIKE_PX:
         limit = near
+    as_it_is, picture = picture, without_spilled(picture, SPILLED_FROM * 2.0 * predicted * ratio)
     if 2.0 * predicted * ratio < BLURRED_PX:
         return _blurred_place(picture, name, ratio, expected, limit)
-    found = _silhouette_place(picture, name, ratio, expected, near) if limit is None else None
+    close = None
+    if limit is None:
+        alone = _without_found(picture, name, expected, near)
+        close = _silhouette_place(alone, name, ratio, expected, near)
+    found = close
     if found is None or found.score < NEAR_SHARE:
-        found = _silhouette_place(picture, name, ratio, expected, limit)
-    return None if found is None else _on_limb(picture, name, found)
+        alone = _without_found(picture, name, expected, np.inf if limit is None else limit)
+        found = _silhouette_place(alone, name, ratio, expected, limit)
+        if close is not None and found is not None and _is_anothers(alone, name, expected, close, found):
+            found = close
+    return None if found is None or found.score < LEAST_SCORE else _on_limb(as_it_is, name, found)
+
+
+def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px: float) -> BodyPicture:
+    """Return the picture without the light of bodies that were found, as far as the search from a place reaches."""
+    reach = search_px + 0.5 * picture.diameter_px(name) + edge_reach(picture)
+    places = {other: picture.center_px(other) for other in picture.found if other != name}
+    return without_bodies(
+        picture,
+        {
+            other: at
+            for other, at in places.items()
+            if np.hypot(*(at - place)) < reach + 0.5 * picture.diameter_px(other)
+        },
+    )
+
+
+def _is_anothers(
+    picture: BodyPicture, name: str, expected: FloatArray, close: BodyPlace, far: BodyPlace
+) -> bool:
+    """Tell whether what was found far off is another body, which is expected there, and what is close the body itself."""
+    shift = far.center_px - expected
+
+    def score(other: str, moved: FloatArray | float) -> tuple[float, bool]:
+        radius = 0.5 * picture.diameter_px(other)
+        found = _silhouette_place(
+            picture, other, 1.0, picture.center_px(other) + moved, search_radius(radius, None)
+        )
+        if found is None:
+            return 0.0, False
+        return found.score, bool(
+            np.hypot(*(found.center_px - far.center_px)) < 0.5 * picture.diameter_px(name)
+        )
+
+    for other in (model.target.name for model in picture.models):
+        if other == name or other in picture.found or picture.diameter_px(other) < POINTLIKE_PX:
+            continue
+        at_its_place, here = score(other, 0.0)
+        if here and close.score + at_its_place > far.score + score(other, shift)[0]:
+            return True
+    return False
 
 
 def _silhouette_place(
@@ -289,20 +340,19 @@ def _blurred_place(
 ) -> BodyPlace | None:
     """Return where a small body's light is near the expected place; else, if it may be far, where its silhouette is."""
     radius = 0.5 * picture.diameter_px(name) * ratio
-    alone = picture
-    if near_bodies(picture, name, expected):
-        whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-        lit = without_others(picture, name, expected, whole)
-        alone = replace(picture, bad=picture.bad | ~(lit.use | lit.saturated))
+    near = search_radius(radius, None) if limit is None else limit
+    picture = without_bodies(picture, near_bodies(picture, name, expected))
+    alone = _without_found(picture, name, expected, near)
 
     def seen(place: FloatArray, search_px: float) -> BodyPlace | None:
         peak = search_place(alone, name, place, radius, search_px, range_scale=1.0 / ratio)
         there = np.isfinite(peak.center_px).all() and peak.snr > SEEN_SNR and peak.explained > SEEN_SHARE
         return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
 
-    found = seen(expected, search_radius(radius, None) if limit is None else limit)
+    found = seen(expected, near)
     if found is not None or limit is not None:
         return found
+    alone = _without_found(picture, name, expected, np.inf)
     rough = _silhouette_place(alone, name, ratio, expected, None)
     return None if rough is None else seen(rough.center_px, REFINED_PX)
 

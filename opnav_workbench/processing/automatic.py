@@ -3,8 +3,7 @@
 The steps are the same `ImageSession` methods that an analyst's clicks call: predict - find stars - decisions - repoint,
 then once more around the solved pointing (which finds the faint stars that the first, wider search missed), then every
 target, the largest first, and the observables.  A session that an analyst has recorded is taken again as it was instead.
-A body that stands at the edge of where it was searched, or beyond, is looked for farther out: its ephemeris may be off by
-more than anybody announced.
+A point that is not where it was searched is looked for farther out: its ephemeris may be off by more than anybody announced.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from opnav_workbench.bodies import BodyCenter, BodyFlag
+from opnav_workbench.bodies import BodyCenter
 from opnav_workbench.catalog import read_star_list
 from opnav_workbench.errors import OpNavError
 from opnav_workbench.files import sha256_of
@@ -260,33 +259,17 @@ def _find_target(session: ImageSession, opened: OpenedProcessing, name: str) -> 
     for options in decided or ({"method": method},):
         session.find_body(name, **options)
     if not decided and session.state.pointing is not None:
-        search_farther(session, name, method)
+        search_point_farther(session, name, method)
 
 
-# ---- A second, wider look for a body whose ephemeris is farther off than anybody announced.
+# ---- A second, wider look for a point whose ephemeris is farther off than anybody announced.
 
-# An ephemeris may be off by more than a body's size; a disk this wide is not mistaken for a star or another body.
-WIDER_FROM_PX = 3.0
-WIDER_SEARCHES = (2.5, 6.0)  # of the usual radius, one after the other
-# A point may be mistaken for one: so far out it counts only if it is as clear and as bright as it should be.
+# It may be mistaken for a star: so far out it counts only if it is as clear and as bright as it should be.
 POINT_SEARCHES_PX = (10.0, 30.0)
 POINT_SNR = 10.0
 
 
-def search_farther(session: ImageSession, name: str, method: str) -> None:
-    """Look farther out for a body that stands at the edge of where it was searched, or beyond: as an analyst would."""
-    diameter = float(np.nan_to_num(session.predict_body(name).diameter_px))
-    if diameter < WIDER_FROM_PX:
-        _search_point_farther(session, name, method)
-        return
-    for factor in WIDER_SEARCHES:
-        center = _last_center(session, name)
-        if center.pixel_line is not None and not center.flags & BodyFlag.AT_LIMIT:
-            return
-        session.find_body(name, method, factor * subarray.search_radius(0.5 * diameter, None))
-
-
-def _search_point_farther(session: ImageSession, name: str, method: str) -> None:
+def search_point_farther(session: ImageSession, name: str, method: str) -> None:
     """Look farther out for a point of known brightness; what does not fit is taken back."""
     missed = _last_center(session, name)
     known = session.inputs.targets[name].magnitude is not None

@@ -1,10 +1,10 @@
 """How the bodies of the scene look: the model of each, and the picture with all of them as the centerfinders take it.
 
-Surface, shape and light of a body come from mission file and kernels.  In the picture, bodies that are looked for stand
-where they are predicted, the others where they were found.
+Surface, shape and light of a body come from mission file and kernels.  In the picture, bodies stand where they were found,
+those that are looked for where that makes them expected.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,11 +16,11 @@ from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import (
     MEASURED_PSF_SIGMA,
     BodyPicture,
-    displaced_model,
+    standing_at,
     stated_psf_sigma,
 )
 from opnav_workbench.constants import SUN_RADIUS_KM
-from opnav_workbench.errors import CameraError, CenterfindingError, MissionError, OpNavError
+from opnav_workbench.errors import CameraError, MissionError, OpNavError
 from opnav_workbench.image import darkest_sky
 from opnav_workbench.mission import AlbedoMapFile, TargetSurface
 from opnav_workbench.photometry import SUN_B_V
@@ -33,7 +33,7 @@ from opnav_workbench.render import (
     ShapeModel,
     law_from_mapping,
 )
-from opnav_workbench.scene import following, seen_at_its_lines
+from opnav_workbench.scene import following, predict_body, seen_at_its_lines
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
@@ -44,6 +44,7 @@ __all__ = [
     "above_sky",
     "body_model_if_known",
     "body_picture",
+    "common_shift_px",
     "has_albedo_map",
     "has_scattering_law",
     "picture_psf",
@@ -202,7 +203,8 @@ def body_picture(
 ) -> BodyPicture:
     """Return the picture with the models of a scene.
 
-    Bodies that are looked for stand where they are predicted; the others, where they were found, if they were.
+    Bodies that were found stand there, but for those that are looked for; these and the others stand as far from their
+    predictions as the largest that was found.
 
     Raises
     ------
@@ -216,10 +218,36 @@ def body_picture(
     looked_for = inputs.targets[wanted[0]]
     drawn = tuple(model for model in models if model is not None)
     picture = _picture(context, inputs, state, drawn, looked_for)
-    moved = [_model_where_found(picture, state, model, wanted) for model in picture.models]
-    if all(new is old for new, old in zip(moved, picture.models, strict=True)):
+    places = {name: picture.center_px(name) for name in (model.target.name for model in drawn)}
+    centers = {name: best_center(state, name) for name in places if name not in wanted}
+    found = {name: c for name, c in centers.items() if c is not None}
+    seen = {name: c.pixel_line for name, c in found.items() if c.pixel_line is not None}
+    shift = common_shift_px(context, inputs, state, wanted)
+    if not seen and not shift.any():
         return picture
-    return _picture(context, inputs, state, tuple(moved), looked_for)
+    expected = {name: at + shift for name, at in places.items() if not inputs.targets[name].is_star}
+    sure = [name for name in seen if found[name].status == "ok"]
+    return standing_at(picture, expected | seen, sure)
+
+
+def common_shift_px(
+    context: Context, inputs: Inputs, state: SessionState, wanted: Collection[str]
+) -> FloatArray:
+    """Return how far (2,) the largest other body surely found stands from its prediction; zero where none is.
+
+    What ephemeris or attitude are off by is theirs in common.
+    """
+    found = []
+    for name in {body.name for body in state.bodies} - set(wanted):
+        center, target = best_center(state, name), inputs.targets.get(name)
+        if center is None or center.pixel_line is None or target is None or target.is_star:
+            continue
+        if center.status != "ok":
+            continue
+        there = predict_body(target, inputs.observer, context.camera, best_attitude(inputs, state))
+        found.append((np.nan_to_num(there.diameter_px), name, center.pixel_line - there.pixel_line))
+    shift = max(found, key=lambda one: one[:2])[2] if found else np.zeros(2)
+    return shift if np.isfinite(shift).all() else np.zeros(2)
 
 
 def _scenery(context: Context, inputs: Inputs, name: str) -> BodyModel | None:
@@ -275,18 +303,6 @@ def above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
     if low - dark < SUNK_SIGMAS * noise and high - low < SWALLOWED_SIGMAS * noise:
         return context.signal_dn, context.noise_dn
     return np.where(bad, 0.0, image - dark), np.full_like(context.noise_dn, noise)
-
-
-def _model_where_found(
-    picture: BodyPicture, state: SessionState, model: BodyModel, wanted: Sequence[str]
-) -> BodyModel:
-    center = best_center(state, model.target.name)
-    if model.target.name in wanted or center is None or center.pixel_line is None:
-        return model
-    try:
-        return displaced_model(picture, model.target.name, center.pixel_line)
-    except CenterfindingError:
-        return model
 
 
 def _sunlight(context: Context) -> float | None:

@@ -37,6 +37,7 @@ from opnav_workbench.session.body_models import (
     above_sky,
     body_model_if_known,
     body_picture,
+    common_shift_px,
     has_albedo_map,
     has_scattering_law,
     scene_names,
@@ -56,7 +57,6 @@ from opnav_workbench.session.state import (
     JointFound,
     ScanChoice,
     SessionState,
-    best_center,
     skipped_topic,
 )
 from opnav_workbench.targets import TargetState
@@ -80,8 +80,6 @@ MIN_BODY_RADIUS_PX = 3.0  # room for an ephemeris error that nobody announced
 MAX_BODY_RADIUS_PX = 30.0  # beyond this a search finds the brightest neighbour, not the body
 SEARCH_SIGMAS = 4.0
 LIMB_FROM_PX = 30.0  # the terminator of a body lit as an analyst guesses tells nothing, its limb does
-# A shift of other bodies by less than this is within what a body is searched in anyway, in radii and px.
-COMMON_SHIFT, MIN_COMMON_SHIFT_PX = 0.5, 6.0
 
 
 def find_center(context: Context, inputs: Inputs, state: SessionState, request: BodyRequest) -> BodyCenter:
@@ -190,46 +188,14 @@ def search_options(
     request: BodyRequest,
     prediction: BodyPrediction,
 ) -> dict[str, Any]:
-    """Return where an extended body is looked for: circle and search radius.
-
-    Without the analyst's circle, it is expected as far from its prediction as the largest body found before: what
-    ephemeris or attitude are off by is theirs in common.
-    """
+    """Return where an extended body is looked for: circle and search radius."""
     circle = start_circle(state, request)
     radius = request.search_radius_px
-    if circle is None and radius is None:
-        circle = _circle_by_common_shift(inputs, context, state, request, prediction)
     if circle is None and radius is None and state.pointing is None:
         sigma = predicted_sigma_px(context, inputs, state, inputs.targets[request.name])
         least = search_radius(0.5 * prediction.diameter_px, None)
         radius = max(least, SEARCH_SIGMAS * sigma) if np.isfinite(sigma) else None
     return {"circle": circle, "search_radius_px": radius}
-
-
-def _circle_by_common_shift(
-    inputs: Inputs,
-    context: Context,
-    state: SessionState,
-    request: BodyRequest,
-    prediction: BodyPrediction,
-) -> Circle | None:
-    """Return where the shift of the largest body found before puts this one; None where it is small or unknown."""
-    shifts = []
-    for name in {body.name for body in state.bodies} - {request.name}:
-        center = best_center(state, name)
-        if center is None or center.pixel_line is None or inputs.targets[name].is_star:
-            continue
-        other = predict_body(
-            inputs.targets[name], inputs.observer, context.camera, best_attitude(inputs, state)
-        )
-        shifts.append((other.diameter_px, name, center.pixel_line - other.pixel_line))
-    if not shifts or not prediction.diameter_px > 0.0 or not np.isfinite(prediction.pixel_line).all():
-        return None
-    shift = max(shifts, key=lambda entry: (np.nan_to_num(entry[0]), entry[1]))[2]
-    radius = 0.5 * prediction.diameter_px
-    if np.hypot(*shift) < max(COMMON_SHIFT * radius, MIN_COMMON_SHIFT_PX):
-        return None
-    return Circle(prediction.pixel_line + shift, radius)
 
 
 def start_circle(state: SessionState, request: BodyRequest) -> Circle | None:
@@ -277,11 +243,12 @@ def _unresolved(
             neighbours_px=neighbours,
             law_sigma=0.0 if has_scattering_law(context, request.name) else 1.0,
         )
+    expected = prediction.pixel_line + common_shift_px(context, inputs, state, (request.name,))
     return find_unresolved(  # neither size nor brightness is known: a point, whatever its light
         context.signal_dn,
         context.noise_dn,
         context.bad,
-        prediction.pixel_line if circle is None else circle.center_px,
+        expected if circle is None else circle.center_px,
         prior,
         name=target.name,
         search_radius_px=search_radius(0.0, circle, radius),

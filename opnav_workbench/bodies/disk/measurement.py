@@ -51,6 +51,7 @@ __all__ = [
     "placed_body",
     "same_center",
     "sigmas_apart",
+    "with_true_sky",
 ]
 
 FAR_SIZES = 10.0  # detectors

@@ -1,0 +1,96 @@
+"""Which light in the picture is which body: displaced ones, overexposed ones whose charge has spilled, and none at all."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from opnav_workbench.bodies import displaced_model, find_disk, find_jointly, standing_at
+
+PLANET, MOON = np.array([420.0, 560.0]), np.array([560.0, 430.0])
+
+
+def spilled(light, full_well):
+    """Charge that pixels cannot hold runs along their columns, as much up as down, until there is room."""
+    kept = light.copy()
+    for column in np.flatnonzero((light > full_well).any(axis=0)):
+        charge = kept[:, column]
+        over = np.maximum(charge - full_well, 0.0)
+        charge -= over
+        for line in np.flatnonzero(over):
+            for step in (-1, 1):
+                rest, at = 0.5 * over[line], line
+                while rest > 0.0 and 0 <= at + step < len(charge):
+                    at += step
+                    taken = min(rest, max(full_well - charge[at], 0.0))
+                    charge[at] += taken
+                    rest -= taken
+    return kept
+
+
+def chi2(center, truth):
+    error = center.pixel_line - truth
+    return error @ np.linalg.solve(center.covariance_px2, error)
+
+
+@pytest.mark.parametrize("apart_px", [(70.0, -40.0), (-90.0, 15.0), (20.0, 60.0)])
+def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_px):
+    """A satellite's ephemeris is off, too: by more than it is wide, beside what the planet is off by."""
+    planet, moon = (
+        body_stage.body(width, 35.0, place, name=name)
+        for width, place, name in ((50.0, PLANET, "PLANET"), (16.0, MOON, "MOON"))
+    )
+    light = body_stage.light(planet, moon)
+    picture = body_stage.picture(light, (planet, moon), np.random.default_rng(5), offset_px=(31.0, -22.0))
+    off = displaced_model(picture, "MOON", picture.center_px("MOON") + apart_px)
+    picture = replace(picture, models=(picture.model("PLANET"), off))
+    for center, truth in zip(find_jointly(picture, ("PLANET", "MOON")).centers, (PLANET, MOON), strict=True):
+        assert center.status == "ok", center.messages
+        assert chi2(center, truth) < 14.0
+    # One after the other, as a session does.
+    first = find_disk(picture, "PLANET")
+    seen = standing_at(picture, {"PLANET": first.pixel_line}, ("PLANET",))
+    second = find_disk(seen, "MOON")
+    assert second.status == "ok", second.messages
+    assert chi2(second, MOON) < 14.0
+
+
+@pytest.mark.parametrize("width_px", [20.0, 30.0])
+def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px):
+    """A planet so overexposed that its column is longer than it is wide looks less like a disk than its moon does."""
+    planet, moon = (
+        body_stage.body(width, 15.0, place, name=name)
+        for width, place, name in ((width_px, PLANET, "PLANET"), (0.5 * width_px, MOON, "MOON"))
+    )
+    data = 60_000.0 * body_stage.light(planet, moon)
+    data = np.random.default_rng(3).poisson(np.minimum(data, 4e6) * 20.0) / 20.0
+    data = spilled(data, 4000.0) + np.random.default_rng(4).normal(0.0, 3.0, data.shape)
+    picture = body_stage.picture(
+        None, (planet, moon), offset_px=(-6.0, 4.0), data=data, saturated=data > 3950.0
+    )
+    first = find_disk(picture, "PLANET")
+    assert chi2(first, PLANET) < 14.0
+    seen = standing_at(picture, {"PLANET": first.pixel_line}, ("PLANET",))
+    second = find_disk(seen, "MOON")
+    assert chi2(second, MOON) < 14.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_stars_and_hits_are_no_body(body_stage, seed):
+    """A body that is not in the picture is not made of what else is."""
+    rng = np.random.default_rng(seed)
+    model = body_stage.body(14.0, 30.0, (500.0, 500.0))
+    light = np.zeros((1024, 1024))
+    for _ in range(60):
+        at = rng.uniform(20.0, 1000.0, 2)
+        y, x = (np.arange(1024) - at[k] for k in (1, 0))
+        light += rng.exponential(0.5) * np.exp(
+            -0.5 * (x**2 + y[:, None] ** 2) / body_stage.psf.sigma_px[0] ** 2
+        )
+    for _ in range(120):  # tracks of cosmic rays
+        start, angle = rng.uniform(20.0, 1000.0, 2), rng.uniform(0.0, np.pi)
+        along = start + np.arange(0.0, rng.exponential(6.0), 0.5)[:, None] * [np.cos(angle), np.sin(angle)]
+        for pixel, line in np.clip(np.rint(along).astype(int), 0, 1023):
+            light[line, pixel] += rng.exponential(0.4)
+    picture = body_stage.picture(light, [model], rng, offset_px=(3.0, 2.0))
+    assert find_disk(picture, "BODY").status == "not_detected"
