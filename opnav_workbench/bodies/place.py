@@ -132,10 +132,12 @@ def find_place(
     found = close
     if found is None or found.score < NEAR_SHARE:
         alone = _without_found(picture, name, expected, np.inf if limit is None else limit)
-        found = _silhouette_place(alone, name, ratio, expected, limit)
-        if close is not None and found is not None and _is_anothers(alone, name, expected, close, found):
-            found = close
-    return None if found is None or found.score < LEAST_SCORE else _on_limb(as_it_is, name, found)
+        found = _in_company(alone, name, ratio, expected, limit, close)
+    if found is None or found.score < LEAST_SCORE:
+        far = float(sum(picture.signal_dn.shape)) if limit is None else limit
+        alone = _without_found(picture, name, expected, far)
+        found = _place_of_light(alone, name, ratio, expected, far)
+    return None if found is None else _on_limb(as_it_is, name, found)
 
 
 def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px: float) -> BodyPicture:
@@ -152,30 +154,46 @@ def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px
     )
 
 
-def _is_anothers(
-    picture: BodyPicture, name: str, expected: FloatArray, close: BodyPlace, far: BodyPlace
-) -> bool:
-    """Tell whether what was found far off is another body, which is expected there, and what is close the body itself."""
-    shift = far.center_px - expected
+def _in_company(
+    picture: BodyPicture,
+    name: str,
+    ratio: float,
+    expected: FloatArray,
+    limit: float | None,
+    close: BodyPlace | None = None,
+) -> BodyPlace | None:
+    """Return where a body's silhouette is; of two places, and one `close` by, where others are as they should be beside it.
 
-    def score(other: str, moved: FloatArray | float) -> tuple[float, bool]:
-        radius = 0.5 * picture.diameter_px(other)
-        found = _silhouette_place(
-            picture, other, 1.0, picture.center_px(other) + moved, search_radius(radius, None)
-        )
-        if found is None:
-            return 0.0, False
-        return found.score, bool(
-            np.hypot(*(found.center_px - far.center_px)) < 0.5 * picture.diameter_px(name)
-        )
+    What looks like the body may be another one, the more so where charge of the body itself has spilled.
+    """
+    found = _silhouette_place(picture, name, ratio, expected, limit)
+    near = search_radius(0.5 * picture.diameter_px(name) * ratio, None)
+    others = [
+        other
+        for other in (model.target.name for model in picture.models)
+        if other != name and other not in picture.found and picture.diameter_px(other) >= POINTLIKE_PX
+    ]
+    if found is None or not others or np.hypot(*(found.center_px - expected)) <= near:
+        return found
+    pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]
+    away = np.hypot(pixel - found.center_px[0], line - found.center_px[1])
+    taken = away < picture.diameter_px(name) * ratio
+    rest = replace(picture, bad=picture.bad | taken, saturated=picture.saturated & ~taken)
+    second = _silhouette_place(rest, name, ratio, expected, limit)
 
-    for other in (model.target.name for model in picture.models):
-        if other == name or other in picture.found or picture.diameter_px(other) < POINTLIKE_PX:
-            continue
-        at_its_place, here = score(other, 0.0)
-        if here and close.score + at_its_place > far.score + score(other, shift)[0]:
-            return True
-    return False
+    def score(place: BodyPlace) -> float:
+        shift, total = place.center_px - expected, place.score
+        for other in others:
+            at, reach = (
+                picture.center_px(other) + shift,
+                search_radius(0.5 * picture.diameter_px(other), None),
+            )
+            beside = _silhouette_place(picture, other, 1.0, at, reach)
+            total += 0.0 if beside is None or beside.score < LEAST_SCORE else beside.score
+        return total
+
+    places = [place for place in (close, second) if place is not None and place.score >= LEAST_SCORE]
+    return max((found, *places), key=score)
 
 
 def _silhouette_place(
@@ -325,7 +343,8 @@ def _full_disk(inside: FloatArray, width: int) -> BoolArray:
     return np.asarray(np.hypot(x, y) < 0.5 * width)
 
 
-# ---- Bodies of a few pixels, whose silhouette is that of the PSF: their rendered light is looked for.
+# ---- Bodies of a few pixels, whose silhouette is that of the PSF, and faint ones, of which no pixel stands out of the sky:
+# their rendered light is looked for.
 
 BLURRED_PX = 9.0
 SEEN_SNR, SEEN_SHARE = (
@@ -343,18 +362,22 @@ def _blurred_place(
     near = search_radius(radius, None) if limit is None else limit
     picture = without_bodies(picture, near_bodies(picture, name, expected))
     alone = _without_found(picture, name, expected, near)
-
-    def seen(place: FloatArray, search_px: float) -> BodyPlace | None:
-        peak = search_place(alone, name, place, radius, search_px, range_scale=1.0 / ratio)
-        there = np.isfinite(peak.center_px).all() and peak.snr > SEEN_SNR and peak.explained > SEEN_SHARE
-        return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
-
-    found = seen(expected, near)
+    found = _place_of_light(alone, name, ratio, expected, near)
     if found is not None or limit is not None:
         return found
     alone = _without_found(picture, name, expected, np.inf)
-    rough = _silhouette_place(alone, name, ratio, expected, None)
-    return None if rough is None else seen(rough.center_px, REFINED_PX)
+    rough = _in_company(alone, name, ratio, expected, None)
+    return None if rough is None else _place_of_light(alone, name, ratio, rough.center_px, REFINED_PX)
+
+
+def _place_of_light(
+    picture: BodyPicture, name: str, ratio: float, place: FloatArray, search_px: float
+) -> BodyPlace | None:
+    """Return where the light of a body as it is rendered stands out of the sky, near a place."""
+    radius = 0.5 * picture.diameter_px(name) * ratio
+    peak = search_place(picture, name, place, radius, search_px, range_scale=1.0 / ratio)
+    there = np.isfinite(peak.center_px).all() and peak.snr > SEEN_SNR and peak.explained > SEEN_SHARE
+    return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
 
 
 # ---- The limb along rays: where half of the local brightness is.
