@@ -55,8 +55,10 @@ def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_p
     assert chi2(second, MOON) < 14.0
 
 
-@pytest.mark.parametrize("width_px", [20.0, 30.0])
-def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px):
+@pytest.mark.parametrize(
+    ("width_px", "offset_px"), [(20.0, (-6.0, 4.0)), (30.0, (-6.0, 4.0)), (20.0, (60.0, -45.0))]
+)
+def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px, offset_px):
     """A planet so overexposed that its column is longer than it is wide looks less like a disk than its moon does."""
     planet, moon = (
         body_stage.body(width, 15.0, place, name=name)
@@ -66,12 +68,15 @@ def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px):
     data = np.random.default_rng(3).poisson(np.minimum(data, 4e6) * 20.0) / 20.0
     data = spilled(data, 4000.0) + np.random.default_rng(4).normal(0.0, 3.0, data.shape)
     picture = body_stage.picture(
-        None, (planet, moon), offset_px=(-6.0, 4.0), data=data, saturated=data > 3950.0
+        None, (planet, moon), offset_px=offset_px, data=data, saturated=data > 3950.0
     )
     first = find_disk(picture, "PLANET")
     assert chi2(first, PLANET) < 14.0
-    seen = standing_at(picture, {"PLANET": first.pixel_line}, ("PLANET",))
-    second = find_disk(seen, "MOON")
+    moved = {
+        name: picture.center_px(name) + first.pixel_line - picture.center_px("PLANET")
+        for name in ("PLANET", "MOON")
+    }
+    second = find_disk(standing_at(picture, moved, ("PLANET",)), "MOON")
     assert chi2(second, MOON) < 14.0
 
 
@@ -94,3 +99,18 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
             light[line, pixel] += rng.exponential(0.4)
     picture = body_stage.picture(light, [model], rng, offset_px=(3.0, 2.0))
     assert find_disk(picture, "BODY").status == "not_detected"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
+    """None of its pixels stands out of the sky; all of them together do, by some thirty sigmas."""
+    truth = np.array([430.3, 610.7])
+    model = body_stage.body(28.0, 20.0, truth)
+    light = body_stage.light(model)
+    picture = body_stage.picture(
+        light, [model], np.random.default_rng(seed), peak_dn=4.0, offset_px=(25.0, -14.0)
+    )
+    center = find_disk(picture, "BODY")
+    assert center.status in ("ok", "uncertain"), center.messages
+    assert chi2(center, truth) < 14.0
+    assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
