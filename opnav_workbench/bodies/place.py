@@ -22,7 +22,7 @@ from skimage.measure import block_reduce
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.neighbours import edge_reach, near_bodies, without_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, RayFan, displaced_model, pixel_rays
-from opnav_workbench.bodies.place_search import search_place
+from opnav_workbench.bodies.place_search import brightest_point, search_place
 from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.spilled import without_spilled
@@ -98,6 +98,7 @@ NEAR_SCORE, NEAR_SHARE = (
     0.85,
 )  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
 LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipped and small), of stars and hits 0.1 to 0.3
+POINT_SHARE = 0.9  # of the light that a star explains, in sigmas: of 400 bodies of 1 to 2000 px all explained 0.99 or more
 SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
 POINTLIKE_PX = 3.0  # a smaller body may be any star: it is looked for only near its expected place
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
@@ -133,11 +134,26 @@ def find_place(
     if found is None or found.score < NEAR_SHARE:
         alone = _without_found(picture, name, expected, np.inf if limit is None else limit)
         found = _in_company(alone, name, ratio, expected, limit, close)
-    if found is None or found.score < LEAST_SCORE:
-        far = float(sum(picture.signal_dn.shape)) if limit is None else limit
-        alone = _without_found(picture, name, expected, far)
-        found = _place_of_light(alone, name, ratio, expected, far)
+    if found is not None and not _stands_out(alone, name, found, expected, near):
+        found = None
+    if found is None:
+        reach = near if limit is None else limit
+        alone = _without_found(picture, name, expected, reach)
+        found = _place_of_light(alone, name, ratio, expected, reach)
     return None if found is None else _on_limb(as_it_is, name, found)
+
+
+def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: FloatArray, near: float) -> bool:
+    """Tell whether what was found is a body: far from where it is expected, less like a star or a hit than like the body."""
+    if found.score < LEAST_SCORE:
+        return False
+    if np.hypot(*(found.center_px - expected)) <= near:
+        return True
+    share = found.size_ratio
+    radius = 0.5 * picture.diameter_px(name) * share
+    body = search_place(picture, name, found.center_px, radius, REFINED_PX, range_scale=1.0 / share)
+    point = brightest_point(picture, found.center_px, radius + edge_reach(picture))
+    return body.snr == 0.0 or body.snr > POINT_SHARE * point.snr
 
 
 def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px: float) -> BodyPicture:
@@ -367,7 +383,9 @@ def _blurred_place(
         return found
     alone = _without_found(picture, name, expected, np.inf)
     rough = _in_company(alone, name, ratio, expected, None)
-    return None if rough is None else _place_of_light(alone, name, ratio, rough.center_px, REFINED_PX)
+    if rough is None or not _stands_out(alone, name, rough, expected, near):
+        return None
+    return _place_of_light(alone, name, ratio, rough.center_px, REFINED_PX)
 
 
 def _place_of_light(
@@ -376,7 +394,9 @@ def _place_of_light(
     """Return where the light of a body as it is rendered stands out of the sky, near a place."""
     radius = 0.5 * picture.diameter_px(name) * ratio
     peak = search_place(picture, name, place, radius, search_px, range_scale=1.0 / ratio)
-    there = np.isfinite(peak.center_px).all() and peak.snr > SEEN_SNR and peak.explained > SEEN_SHARE
+    # As unlikely to be noise as near by, wherever it may be.
+    least = np.hypot(SEEN_SNR, np.sqrt(2.0 * np.log(max(search_px / search_radius(radius, None), 1.0) ** 2)))
+    there = np.isfinite(peak.center_px).all() and peak.snr > least and peak.explained > SEEN_SHARE
     return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
 
 

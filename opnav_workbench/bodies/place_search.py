@@ -18,7 +18,7 @@ from opnav_workbench.bodies.picture import BodyPicture, model_picture
 from opnav_workbench.bodies.subarray import PSF_REACH, RIM_PX, Cutout, cut_out
 from opnav_workbench.stars.peaks import refine_peaks
 
-__all__ = ["CorrelationPeak", "search_place"]
+__all__ = ["CorrelationPeak", "brightest_point", "search_place"]
 
 ComplexArray = NDArray[np.complex128]
 
@@ -81,6 +81,16 @@ def search_place(
     data = cut_out(picture, window, keep_saturated=True)
     template = _template(picture, name, center_px, reach, range_scale)
     return _highest_peak(data, template, center_px, search_px) if data.use.any() else nowhere
+
+
+def brightest_point(picture: BodyPicture, center_px: FloatArray, search_px: float) -> CorrelationPeak:
+    """Search for a point of light, as a star is, within `search_px` of a place (2,)."""
+    kernel = picture.psf.at(center_px).kernel(1)
+    half = len(kernel) // 2
+    data = cut_out(picture, _clipped(picture, center_px, search_px + half), keep_saturated=True)
+    if min(data.window[2:]) < 1 or not data.use.any():
+        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
+    return _highest_peak(data, _Template(kernel, np.full(2, float(half))), center_px, search_px)
 
 
 def _clipped(picture: BodyPicture, center: FloatArray, half: float) -> tuple[int, int, int, int]:
