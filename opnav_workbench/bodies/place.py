@@ -44,6 +44,7 @@ __all__ = [
     "crossing_depths",
     "find_place",
     "fit_crossings",
+    "is_pointlike",
     "radiance_profiles",
 ]
 
@@ -98,9 +99,11 @@ NEAR_SCORE, NEAR_SHARE = (
     0.85,
 )  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
 LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipped and small), of stars and hits 0.1 to 0.3
-POINT_SHARE = 0.9  # of the light that a star explains, in sigmas: of 400 bodies of 1 to 2000 px all explained 0.99 or more
+# Of the light that a star or another body explains, in sigmas: of what stars do, 400 bodies of 1 to 2000 px all explained
+# 0.99 or more.
+RIVAL_SHARE = 0.9
 SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
-POINTLIKE_PX = 3.0  # a smaller body may be any star: it is looked for only near its expected place
+POINTLIKE_PX, POINTLIKE_LIT_PX = 3.0, 1.5  # a smaller body, or crescent, may be any star
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
 
 
@@ -121,7 +124,7 @@ def find_place(
     ratio = 1.0 if circle is None else circle.radius_px / predicted
     limit = search_px if circle is None or search_px is not None else search_radius(0.0, circle)
     near = search_radius(predicted * ratio, None)
-    if limit is None and 2.0 * predicted < POINTLIKE_PX:
+    if limit is None and is_pointlike(picture, name):
         limit = near
     as_it_is, picture = picture, without_spilled(picture, SPILLED_FROM * 2.0 * predicted * ratio)
     if 2.0 * predicted * ratio < BLURRED_PX:
@@ -143,8 +146,16 @@ def find_place(
     return None if found is None else _on_limb(as_it_is, name, found)
 
 
+def is_pointlike(picture: BodyPicture, name: str) -> bool:
+    """Tell whether so little of a body is lit that it is looked for near its expected place only."""
+    phase = picture.phase_rad(name)
+    lit_share = 0.5 * (1.0 + np.cos(phase)) if np.isfinite(phase) else 1.0
+    diameter = picture.diameter_px(name)
+    return diameter < POINTLIKE_PX or diameter * lit_share < POINTLIKE_LIT_PX
+
+
 def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: FloatArray, near: float) -> bool:
-    """Tell whether what was found is a body: far from where it is expected, less like a star or a hit than like the body."""
+    """Tell whether what was found is the body: far from where it is expected, nothing else is as much like it."""
     if found.score < LEAST_SCORE:
         return False
     if np.hypot(*(found.center_px - expected)) <= near:
@@ -152,8 +163,17 @@ def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: Flo
     share = found.size_ratio
     radius = 0.5 * picture.diameter_px(name) * share
     body = search_place(picture, name, found.center_px, radius, REFINED_PX, range_scale=1.0 / share)
-    point = brightest_point(picture, found.center_px, radius + edge_reach(picture))
-    return body.snr == 0.0 or body.snr > POINT_SHARE * point.snr
+    rivals = [brightest_point(picture, found.center_px, radius + edge_reach(picture)).snr]
+    for other in _others_there(picture, name):
+        own = 0.5 * picture.diameter_px(other)
+        rivals.append(search_place(picture, other, found.center_px, own, radius + REFINED_PX).snr)
+    return body.snr == 0.0 or body.snr > RIVAL_SHARE * max(rivals)
+
+
+def _others_there(picture: BodyPicture, name: str) -> list[str]:
+    """Return the bodies that were not found yet, and are no points."""
+    names = (model.target.name for model in picture.models)
+    return [n for n in names if n != name and n not in picture.found and not is_pointlike(picture, n)]
 
 
 def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px: float) -> BodyPicture:
@@ -184,11 +204,7 @@ def _in_company(
     """
     found = _silhouette_place(picture, name, ratio, expected, limit)
     near = search_radius(0.5 * picture.diameter_px(name) * ratio, None)
-    others = [
-        other
-        for other in (model.target.name for model in picture.models)
-        if other != name and other not in picture.found and picture.diameter_px(other) >= POINTLIKE_PX
-    ]
+    others = _others_there(picture, name)
     if found is None or not others or np.hypot(*(found.center_px - expected)) <= near:
         return found
     pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]

@@ -15,6 +15,7 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies import (
     MEASURED_PSF_SIGMA,
+    BodyFlag,
     BodyPicture,
     standing_at,
     stated_psf_sigma,
@@ -226,8 +227,14 @@ def body_picture(
     if not seen and not shift.any():
         return picture
     expected = {name: at + shift for name, at in places.items() if not inputs.targets[name].is_star}
-    sure = [name for name in seen if found[name].status == "ok"]
+    sure = [name for name in seen if not found[name].flags & MISPLACED]
     return standing_at(picture, expected | seen, sure)
+
+
+# What says of a center that it may be another body's, or none.
+MISPLACED = (
+    BodyFlag.POOR_FIT | BodyFlag.CIRCLE_MISFIT | BodyFlag.AT_LIMIT | BodyFlag.EMPTY | BodyFlag.NOT_CONVERGED
+)
 
 
 def common_shift_px(

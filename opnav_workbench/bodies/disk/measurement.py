@@ -27,7 +27,6 @@ from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import (
     INTERPOLATED_VARIANCE,
-    POINTLIKE_PX,
     BodyPlace,
     CrossingFit,
     cross_limb,
@@ -191,7 +190,7 @@ def placed_body(
     nothing = "nothing of its size and phase stands out of the sky"
     if circle is not None or search_px is not None:
         nothing += f" within {search_radius(0.0, circle, search_px):.0f} px of its expected place"
-    if circle is None and search_px is None and picture.diameter_px(name) < POINTLIKE_PX:
+    if circle is None and search_px is None and is_pointlike(picture, name):
         nothing += " near its expected place; farther off it may be any star, give a circle"
     return BodyCenter.without_center(name, method, "not_detected", nothing)
 
