@@ -32,6 +32,7 @@ from opnav_workbench.bodies.place import (
     cross_limb,
     find_place,
     fit_crossings,
+    is_pointlike,
 )
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
