@@ -99,9 +99,9 @@ NEAR_SCORE, NEAR_SHARE = (
     0.85,
 )  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
 LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipped and small), of stars and hits 0.1 to 0.3
-# Of the light that a star or another body explains, in sigmas: of what stars do, 400 bodies of 1 to 2000 px all explained
-# 0.99 or more.
-RIVAL_SHARE = 0.9
+# Of the light that a star or another body explains, in sigmas. A body explains more of its own than a star does, a star
+# less; the smallest are alike: of 400 bodies of 1 to 2000 px all explained 0.99 of it or more.
+RIVAL_SHARE = 0.97
 SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
 POINTLIKE_PX, POINTLIKE_LIT_PX = 3.0, 1.5  # a smaller body, or crescent, may be any star
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
