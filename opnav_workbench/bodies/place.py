@@ -140,9 +140,11 @@ def find_place(
     if found is not None and not _stands_out(alone, name, found, expected, near):
         found = None
     if found is None:
-        reach = near if limit is None else limit
+        reach = max(near, FAINT_SEARCH_PX) if limit is None else limit
         alone = _without_found(picture, name, expected, reach)
         found = _place_of_light(alone, name, ratio, expected, reach)
+        if found is not None and not _stands_out(alone, name, found, expected, near):
+            found = None
     return None if found is None else _on_limb(as_it_is, name, found)
 
 
@@ -383,6 +385,7 @@ SEEN_SNR, SEEN_SHARE = (
     5.0,
     0.3,
 )  # of a body that is there, and how much of what is under it the model explains
+FAINT_SEARCH_PX = 200.0
 REFINED_PX = 3.0  # about a silhouette
 
 
