@@ -101,6 +101,33 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
     assert find_disk(picture, "BODY").status == "not_detected"
 
 
+@pytest.mark.parametrize(("width_px", "phase_deg"), [(6.0, 60.0), (12.0, 100.0), (25.0, 100.0)])
+def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg):
+    """What there is of a thin crescent looks like a star to a search that asks for its silhouette."""
+    model = body_stage.body(width_px, phase_deg, (500.0, 500.0))
+    y, x = (np.arange(1024) - at for at in (641.3, 322.8))
+    light = np.exp(-0.5 * (x**2 + y[:, None] ** 2) / body_stage.psf.sigma_px[0] ** 2)
+    picture = body_stage.picture(light, [model], np.random.default_rng(7), offset_px=(3.0, 2.0))
+    assert find_disk(picture, "BODY").status == "not_detected"
+
+
+def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
+    planet, moon = (
+        body_stage.body(width, 60.0, place, name=name)
+        for width, place, name in ((14.0, PLANET, "PLANET"), (7.0, MOON, "MOON"))
+    )
+    lost = np.zeros((1024, 1024), dtype=bool)
+    lost[PLANET.astype(int)[1] - 20 :, PLANET.astype(int)[0] - 20 :][:40, :40] = True
+    light = body_stage.light(planet, moon)
+    picture = body_stage.picture(
+        light, (planet, moon), np.random.default_rng(5), offset_px=(-3.0, 6.0), bad=lost
+    )
+    first, second = find_jointly(picture, ("PLANET", "MOON")).centers
+    assert first.pixel_line is None
+    assert second.status == "ok", second.messages
+    assert chi2(second, MOON) < 14.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     """None of its pixels stands out of the sky; all of them together do, by some thirty sigmas."""
