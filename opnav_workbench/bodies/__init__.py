@@ -12,9 +12,13 @@ which suits a body.
 ``subarray``
     The window that a body is looked for in, and which of its pixels count.
 ``place_search``
-    The rendered picture of a small body correlated with the data over its whole search area.
+    The rendered picture of a small or faint body, or of a star, correlated with the data over a search area.
 ``place``
-    Where a body stands, before anything is fitted: its silhouette against the sky, then its lit limb.
+    Where a body stands, before anything is fitted: its silhouette against the sky, and what else may be there.
+``crossings``
+    Where rays cross a limb, at half of the local brightness.
+``spilled``
+    Charge that saturated pixels have spilled, told from a body.
 ``lighting``
     Where the Sun stands over a body, told by its disk.
 ``detection``

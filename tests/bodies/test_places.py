@@ -7,14 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from opnav_workbench.bodies import BodyCenter, BodyFlag, find_disk, find_least_squares
+from opnav_workbench.bodies.crossings import LimbCrossings, crossing_columns, crossing_depths, fit_crossings
 from opnav_workbench.bodies.judgement import confirmed_center
-from opnav_workbench.bodies.place import (
-    LimbCrossings,
-    crossing_columns,
-    crossing_depths,
-    find_place,
-    fit_crossings,
-)
+from opnav_workbench.bodies.place import find_place
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
 

@@ -14,9 +14,9 @@ from math import factorial
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
+from opnav_workbench.bodies.crossings import RELIEF_RAD
 from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo, hidden_albedo
 from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
-from opnav_workbench.bodies.place import RELIEF_RAD
 from opnav_workbench.bodies.silhouette import TURN
 
 __all__ = ["BLOCK", "FieldPrior", "LimbField", "limb_field", "piece_angles"]

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import softmax
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.crossings import INTERPOLATED_VARIANCE, CrossingFit, cross_limb, fit_crossings
 from opnav_workbench.bodies.disk.blocks import DiskPixels
 from opnav_workbench.bodies.disk.fit import (
     PLACE_SIGMAS,
@@ -25,15 +26,7 @@ from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.place import (
-    INTERPOLATED_VARIANCE,
-    BodyPlace,
-    CrossingFit,
-    cross_limb,
-    find_place,
-    fit_crossings,
-    is_pointlike,
-)
+from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import choose_subarray, find_hit_pixels, outline_radius_px, search_radius

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.crossings import crossing_depths
 from opnav_workbench.bodies.disk.limb_cells import piece_of
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan
@@ -18,7 +19,6 @@ from opnav_workbench.bodies.limb_scan.matching import ScanMatch
 from opnav_workbench.bodies.limb_scan.view import ScanView
 from opnav_workbench.bodies.neighbours import near_bodies
 from opnav_workbench.bodies.picture import displaced_model, pixel_rays, placed_models
-from opnav_workbench.bodies.place import crossing_depths
 from opnav_workbench.bodies.results import NOT_CHOSEN, USED
 from opnav_workbench.constants import FWHM_PER_SIGMA
 from opnav_workbench.errors import CenterfindingError

@@ -1,0 +1,327 @@
+"""Where rays from a place cross a body's limb: at half of the local brightness, whatever that is.
+
+Flow   place -> rays -> picture and model along them -> where each falls to half -> center, size and axes that agree with that
+Frame  (pixel, line); distances along rays positive outward
+Units  px, DN
+
+Of the limb such a reading asks only where it is. What half of the brightness means for a limb that is darkened and blurred
+is asked of the model, whose limb is crossed in the same way.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, map_coordinates
+
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model
+from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
+from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.constants import MAD_TO_SIGMA, PIXEL_VARIANCE_PX2
+from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert, ScatteringLaw
+from opnav_workbench.render.body import PlacedBody
+
+__all__ = [
+    "INTERPOLATED_VARIANCE",
+    "RELIEF_RAD",
+    "CrossingFit",
+    "LimbCrossings",
+    "cross_limb",
+    "crossing_columns",
+    "crossing_depths",
+    "fit_crossings",
+    "radiance_profiles",
+]
+
+RAYS = 180
+RAY_STEP_PX = 0.25
+FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
+LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
+FAINT_SIGMAS = 4.0
+STEEPER = 0.02  # in the logarithm, over three widths of the PSF: at a limb than behind it
+FLOOR_SHARE = 0.25  # of what is faint: the sky, where light is told in proportion
+LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
+INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
+# Of what an interpolation rests on: usable pixels; of all places, those with enough of them; and where too few have.
+WHOLE_SHARE, MOSTLY_WHOLE, LEAST_SHARE = 0.95, 0.5, 0.02
+NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
+LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
+RELIEF_RAD = 0.2  # of topography along a limb
+SATURATED_PX = 2.0  # how far saturation may move a crossing
+MOST_CHANGED_PX = 2.0  # by a law: beyond, another edge was crossed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LimbCrossings:
+    """Crossings of n rays.
+
+    Attributes
+    ----------
+    angle_rad : (n,) array
+    depth_px : (n,) array
+        Distance from where a crossing was expected.
+    known : (n,) array of bool
+        Which rays have one.
+    changes : (n, k) array
+        Of what was expected, by a sigma of each thing that is uncertain of the light.
+    """
+
+    angle_rad: FloatArray
+    depth_px: FloatArray
+    known: BoolArray
+    changes: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, faint: float) -> FloatArray:
+    """Return where profiles (n, m) over depths (m,) first exceed, from outside, half of what lies behind; nan without.
+
+    Stray light rises toward a bright body over many pixels: at a limb it rises, in proportion, as it does no more behind.
+    """
+    step = float(depth_px[1] - depth_px[0])
+    m, width = profile.shape[1], width_px / step
+    run = max(2, round(1.5 * width))
+    near, far = round(LEVEL_FROM * width), round(LEVEL_TO * width)
+    at, rows = np.arange(m), np.arange(len(profile))
+    above = np.cumsum(profile > faint, axis=1)
+    lasting = np.concatenate([above[:, :run], above[:, run:] - above[:, :-run]], axis=1) >= run
+    level = np.log(np.maximum(profile, FLOOR_SHARE * faint))
+    rise = level[:, np.maximum(at - near, 0)] - level[:, np.minimum(at + near, m - 1)]
+    lasting &= rise > STEEPER + rise[:, np.maximum(at - 2 * near, 0)]
+    last = m - 1 - lasting[:, ::-1].argmax(axis=1)
+    sums = np.concatenate([np.zeros((len(profile), 1)), np.cumsum(profile, axis=1)], axis=1)
+    high, low = np.clip(last - near, 1, m), np.clip(last - far, 0, m - 1)
+    half = np.maximum(0.5 * (sums[rows, high] - sums[rows, low]) / np.maximum(high - low, 1), faint)
+    over = (at < np.minimum(last + run, m)[:, None]) & (profile > half[:, None])
+    k = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
+    top, below = profile[rows, k], profile[rows, k + 1]
+    part = np.clip((top - half) / np.maximum(top - below, 1e-12), 0.0, 1.0)
+    found = over.any(axis=1) & lasting.any(axis=1) & (high > low)
+    return np.where(found, depth_px[k] + part * step, np.nan)
+
+
+Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
+
+
+def cross_limb(
+    picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles, *, cut_off: bool = False
+) -> LimbCrossings:
+    """Cross the limb along rays, as far as `reach_px` from the outline, and compare with the model's crossings.
+
+    Parameters
+    ----------
+    profiles
+        Returns the model's light (1 + k, n, m) at angles (n,) and depths (m,) of an outline, any unit: as it is, and
+        changed by a sigma of each of k things that are uncertain.
+    cut_off
+        Whether that light is cut off where the picture is saturated.
+    """
+    angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
+    limb = outline.radius(angle)
+    # Cells end at the limb: which of them a body's light reaches is then no matter of rounding.
+    inward = int(min(reach_px + 8.0, float(limb.min())) / RAY_STEP_PX)
+    depth = np.arange(-inward + 0.5, (reach_px + 4.0) / RAY_STEP_PX) * RAY_STEP_PX
+    wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    places = outline.center_px + (limb[:, None] + depth)[..., None] * wheel[:, None]
+    data, valid = _sampled(picture, places)
+    model, *changed = profiles(outline, angle, depth)
+    width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
+    lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
+    bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
+    faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * float(np.median(picture.noise_dn)))
+    observed = crossing_depths(np.where(valid, data, 0.0), depth, width, faint)
+    middle = float(np.median(model[lit])) if lit.any() else 1.0
+    expected = crossing_depths(model, depth, width, FAINT_SHARE * middle)
+    moved = [crossing_depths(light, depth, width, FAINT_SHARE * middle) - expected for light in changed]
+    index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
+    rows = np.arange(RAYS)
+    whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
+    at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
+    known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
+    if picture.saturated.any() and not cut_off:  # half of a level that was cut off lies too far out
+        behind = (
+            np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width) < 0.5 * LEVEL_TO * width
+        )
+        moved.append(SATURATED_PX * np.any(behind & _touches(picture.saturated, places), axis=1))
+    changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
+    changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
+    return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known, changes)
+
+
+def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
+    """Return profiles of the body's radiance, spread along the rays as by the PSF: good to a tenth of a pixel.
+
+    An unknown law, which is called Lambert's, is half of that and half of Lommel-Seeliger's, or either; a law that was given
+    may be as far from its own toward that.
+    """
+    law: ScatteringLaw = picture.model(name).law
+    between = LunarLambert(0.5)
+    laws = (between, law) if isinstance(law, Lambert) else (law, between)
+
+    def profiles(outline: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
+        seen = displaced_model(picture, name, outline.center_px, 1.0 / size_ratio)
+        limb = outline.radius(angle)
+        share = 1.0 + depth / limb[:, None]
+        lowest, most = float(share.min()), float(share.max())
+        fan = RayFan(picture, outline.center_px, angle, most * limb, lowest / most)
+        line = np.broadcast_to(np.arange(len(angle))[:, None], share.shape)
+        rays = fan.at(line.ravel(), share.ravel() / most)
+        bodies = [PlacedBody(replace(seen, law=law), picture.camera.pixel_scale_rad) for law in laws]
+        light = np.stack([body.radiance(rays).reshape(share.shape) for body in bodies])
+        variance = float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE
+        sigma = float(np.sqrt(variance)) / RAY_STEP_PX
+        return np.asarray(gaussian_filter1d(light, sigma, axis=2, mode="nearest"))
+
+    return profiles
+
+
+def _sampled(picture: BodyPicture, places: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the picture at places (n, m, 2), and which of them show it.
+
+    Where most of them touch a missing pixel, as with every other line lost, those that are left have to do for both.
+    """
+    usable = picture.shown()
+    where = [places[..., 1], places[..., 0]]
+    data = map_coordinates(np.where(usable, picture.signal_dn, 0.0), where, order=1, mode="nearest")
+    n_line, n_pixel = usable.shape
+    inside = (
+        (places[..., 0] >= 0)
+        & (places[..., 0] <= n_pixel - 1)
+        & (places[..., 1] >= 0)
+        & (places[..., 1] <= n_line - 1)
+    )
+    if not usable.all():
+        share = map_coordinates(usable.astype(np.float64), where, order=1, mode="nearest")
+        whole = share > WHOLE_SHARE
+        if np.mean(whole) < MOSTLY_WHOLE:
+            whole, data = share > LEAST_SHARE, data / np.maximum(share, LEAST_SHARE)
+        inside &= whole
+    return data, inside
+
+
+def _touches(plane: BoolArray, places: FloatArray) -> BoolArray:
+    """Return whether places (n, m, 2) lie on marked pixels."""
+    index = np.rint(places).astype(np.int64)
+    pixel, line = (np.clip(index[..., k], 0, plane.shape[1 - k] - 1) for k in (0, 1))
+    return np.asarray(plane[line, pixel])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossingFit:
+    """What most crossings agree with.
+
+    Attributes
+    ----------
+    step_px : (2,) array
+        Of the center from that of the outline.
+    log_size
+        Change of the outline's size.
+    strain : (2,) array
+        Change of its radius as cos 2a and sin 2a.
+    covariance : (5, 5) array
+        Of all five, from the scatter of the crossings and its correlation along the limb.
+    residual_px : (n,) array
+        nan where there is no crossing.
+    free_log_size, free_size_sigma
+        Change of the size and its uncertainty, as if nothing were known of the figure but its widest bounds.
+    """
+
+    step_px: FloatArray
+    log_size: float
+    strain: FloatArray
+    covariance: FloatArray
+    residual_px: FloatArray
+    free_log_size: float
+    free_size_sigma: float
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+
+def fit_crossings(
+    crossings: LimbCrossings,
+    outline: Outline,
+    figure: FigureUncertainty,
+    relief_px: float,
+    mean: FloatArray,
+    near_px: float,
+) -> CrossingFit:
+    """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
+
+    Parameters
+    ----------
+    figure
+        How far size and axes may be from the model's.
+    relief_px
+        Scatter of the limb about its outline.
+    mean : (3,) array
+        Where the model has log size and strain, as changes of the outline.
+    """
+    moving = crossing_columns(crossings.angle_rad, outline)
+    columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
+    offset = crossings.depth_px[crossings.known]
+    uncertain = np.ones(crossings.changes.shape[1])
+    precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
+    scales = scale_precisions(len(precision), ([2], figure.size_scales), ([3, 4], figure.axes_scales))
+    expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
+    beyond = offset - columns @ expected
+    residual = np.full(len(crossings.angle_rad), np.nan)
+
+    def weights(solution: FloatArray, near: float) -> FloatArray:
+        return np.asarray((1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0)
+
+    def solved(solution: FloatArray, near: float, variance: float, scales: FloatArray) -> FloatArray:
+        weight = weights(solution, near) / variance
+        normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
+        there = expected + mixed_solution(normal, columns.T @ (weight * beyond), scales).theta
+        residual[crossings.known] = offset - columns @ there
+        return np.asarray(there)
+
+    # A limb that is not the model's must not be lost, whatever was stated of it.
+    unstated = FigureUncertainty()
+    bounds = max(figure.size_sigma, unstated.size_sigma), max(figure.axes_sigma, unstated.axes_sigma)
+    widest = scale_precisions(len(precision), ([2], [bounds[0]]), ([3, 4], [bounds[1]]))
+    solution, near = expected, near_px
+    for _ in range(NARROWINGS):
+        solution = solved(solution, near, near**2, widest)
+        near = max(0.5 * near, NEAREST_PX, relief_px)
+    # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
+    variance = _scatter(residual) + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
+    free = float(solved(solution, near, variance, widest)[2])
+    solution = solved(solution, near, variance, scales)
+    # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
+    kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
+    normal = columns.T @ columns / variance + np.diag(precision)
+    mixed, alone = (
+        mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest)
+    )
+    size_sigma = float(np.sqrt(alone[2, 2]))
+    return CrossingFit(
+        solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5], residual, free, size_sigma
+    )
+
+
+def crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
+    """Return the change (n, 5) of radii at angles with center (px), log size and strain."""
+    limb = outline.radius(angle)
+    slope = np.interp(angle, outline.angle_rad, outline.slope_px, period=TURN) / limb
+    u = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    across = np.stack([-u[:, 1], u[:, 0]], axis=-1)
+    grown = limb * np.stack([np.ones_like(limb), *Outline.waves(angle, slope)])
+    return np.concatenate([u - slope[:, None] * across, grown.T], axis=1)
+
+
+def _scatter(residual: FloatArray) -> float:
+    """Return the variance of crossings (n,), nan where there is none, that errors of each by itself would amount to."""
+    known = residual[np.isfinite(residual)]
+    if not len(known):
+        return np.inf
+    spread = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SPREAD_PX)
+    even = np.clip(np.nan_to_num(residual) / spread, -3.0, 3.0)
+    both = np.isfinite(residual) & np.isfinite(np.roll(residual, 1))
+    alike = float(np.sum(even[both] * np.roll(even, 1)[both]) / max(float(np.sum(even[both] ** 2)), 1e-9))
+    alike = float(np.clip(alike, 0.0, 0.95))
+    return spread**2 * (1.0 + alike) / (1.0 - alike)
