@@ -1,6 +1,6 @@
 """Where rays from a place cross a body's limb: at half of the local brightness, whatever that is.
 
-Flow   place -> rays -> picture and model along them -> where each falls to half -> center, size and axes that agree with that
+Flow   place -> rays -> picture and model along them -> where each falls to half -> center, size and axes that fit best
 Frame  (pixel, line); distances along rays positive outward
 Units  px, DN
 
