@@ -84,6 +84,7 @@ LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipp
 # Of the light that a star or another body explains, in sigmas. A body explains more of its own than a star does, a star
 # less; the smallest are alike: of 400 bodies of 1 to 2000 px all explained 0.99 of it or more.
 RIVAL_SHARE = 0.97
+MOST_POINTS = 4  # that may lie on a body
 SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
 POINTLIKE_PX, POINTLIKE_LIT_PX = 3.0, 1.5  # a smaller body, or crescent, may be any star
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
@@ -119,15 +120,13 @@ def find_place(
     if found is None or found.score < NEAR_SHARE:
         alone = _without_found(picture, name, expected, np.inf if limit is None else limit)
         found = _in_company(alone, name, ratio, expected, limit, close)
-    if found is not None and not _stands_out(alone, name, found, expected, near):
-        found = None
-    if found is None:
+    if found is None or found.score < LEAST_SCORE or not _stands_out(alone, name, found, expected, near):
         reach = max(near, FAINT_SEARCH_PX) if limit is None else limit
         alone = _without_found(picture, name, expected, reach)
         found = _place_of_light(alone, name, ratio, expected, reach)
-        if found is not None and not _stands_out(alone, name, found, expected, near):
-            found = None
-    return None if found is None else _on_limb(as_it_is, name, found)
+        if found is None or not _stands_out(alone, name, found, expected, near):
+            return None
+    return _on_limb(as_it_is, name, found)
 
 
 def is_pointlike(picture: BodyPicture, name: str) -> bool:
@@ -139,19 +138,38 @@ def is_pointlike(picture: BodyPicture, name: str) -> bool:
 
 
 def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: FloatArray, near: float) -> bool:
-    """Tell whether what was found is the body: far from where it is expected, nothing else is as much like it."""
-    if found.score < LEAST_SCORE:
-        return False
-    if np.hypot(*(found.center_px - expected)) <= near:
-        return True
-    share = found.size_ratio
+    """Tell whether what was found is the body: nothing else is as much like it, or it is there beside what is.
+
+    A good silhouette close to where it is expected needs no such question, unless it is as small as a star's.
+    """
+    is_near = bool(np.hypot(*(found.center_px - expected)) <= near)
+    share, at = found.size_ratio, found.center_px
     radius = 0.5 * picture.diameter_px(name) * share
-    body = search_place(picture, name, found.center_px, radius, REFINED_PX, range_scale=1.0 / share)
-    rivals = [brightest_point(picture, found.center_px, radius + edge_reach(picture)).snr]
-    for other in _others_there(picture, name):
-        own = 0.5 * picture.diameter_px(other)
-        rivals.append(search_place(picture, other, found.center_px, own, radius + REFINED_PX).snr)
-    return body.snr == 0.0 or body.snr > RIVAL_SHARE * max(rivals)
+    if is_near and found.score > NEAR_SHARE and 2.0 * radius > BLURRED_PX:
+        return True
+    there = [] if is_near else _others_there(picture, name)
+    others = [(other, 0.5 * picture.diameter_px(other)) for other in there]
+    for points in range(MOST_POINTS):
+        body = search_place(picture, name, at, radius, REFINED_PX, range_scale=1.0 / share)
+        if body.snr == 0.0 and points == 0:  # of so little on the detector nothing can be said
+            return True
+        if body.snr < SEEN_SNR:
+            return False
+        rivals = [search_place(picture, other, at, own, radius + REFINED_PX).snr for other, own in others]
+        if rivals and body.snr < RIVAL_SHARE * max(rivals):
+            return False
+        point = brightest_point(picture, at, radius + REFINED_PX)
+        if body.snr > RIVAL_SHARE * point.snr:
+            return True
+        picture = _without_disk(picture, point.center_px, edge_reach(picture))
+    return False
+
+
+def _without_disk(picture: BodyPicture, center_px: FloatArray, radius_px: float) -> BodyPicture:
+    """Return the picture with the pixels about a place not known."""
+    pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]
+    taken = np.hypot(pixel - center_px[0], line - center_px[1]) < radius_px
+    return replace(picture, bad=picture.bad | taken, saturated=picture.saturated & ~taken)
 
 
 def _others_there(picture: BodyPicture, name: str) -> list[str]:
@@ -191,10 +209,7 @@ def _in_company(
     others = _others_there(picture, name)
     if found is None or not others or np.hypot(*(found.center_px - expected)) <= near:
         return found
-    pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]
-    away = np.hypot(pixel - found.center_px[0], line - found.center_px[1])
-    taken = away < picture.diameter_px(name) * ratio
-    rest = replace(picture, bad=picture.bad | taken, saturated=picture.saturated & ~taken)
+    rest = _without_disk(picture, found.center_px, picture.diameter_px(name) * ratio)
     second = _silhouette_place(rest, name, ratio, expected, limit)
 
     def score(place: BodyPlace) -> float:
@@ -380,11 +395,13 @@ def _blurred_place(
     picture = without_bodies(picture, near_bodies(picture, name, expected))
     alone = _without_found(picture, name, expected, near)
     found = _place_of_light(alone, name, ratio, expected, near)
-    if found is not None or limit is not None:
+    if found is not None and (is_pointlike(picture, name) or _stands_out(alone, name, found, expected, near)):
         return found
+    if limit is not None:
+        return None
     alone = _without_found(picture, name, expected, np.inf)
     rough = _in_company(alone, name, ratio, expected, None)
-    if rough is None or not _stands_out(alone, name, rough, expected, near):
+    if rough is None or rough.score < LEAST_SCORE or not _stands_out(alone, name, rough, expected, near):
         return None
     return _place_of_light(alone, name, ratio, rough.center_px, REFINED_PX)
 

@@ -101,14 +101,31 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
     assert find_disk(picture, "BODY").status == "not_detected"
 
 
+def star(stage, place):
+    """Light of a star, its brightest pixel about 1."""
+    x, y = (np.arange(1024) - at for at in place)
+    return np.exp(-0.5 * (x**2 + y[:, None] ** 2) / stage.psf.sigma_px[0] ** 2)
+
+
+@pytest.mark.parametrize("place", [(322.8, 641.3), (506.2, 497.7)], ids=["far", "near"])
 @pytest.mark.parametrize(("width_px", "phase_deg"), [(6.0, 60.0), (12.0, 100.0), (25.0, 100.0)])
-def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg):
+def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg, place):
     """What there is of a thin crescent looks like a star to a search that asks for its silhouette."""
     model = body_stage.body(width_px, phase_deg, (500.0, 500.0))
-    y, x = (np.arange(1024) - at for at in (641.3, 322.8))
-    light = np.exp(-0.5 * (x**2 + y[:, None] ** 2) / body_stage.psf.sigma_px[0] ** 2)
-    picture = body_stage.picture(light, [model], np.random.default_rng(7), offset_px=(3.0, 2.0))
+    picture = body_stage.picture(
+        star(body_stage, place), [model], np.random.default_rng(7), offset_px=(3.0, 2.0)
+    )
     assert find_disk(picture, "BODY").status == "not_detected"
+
+
+@pytest.mark.parametrize("offset_px", [(4.0, -3.0), (45.0, 30.0)])
+def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px):
+    model = body_stage.body(24.0, 40.0, MOON)
+    light = 0.02 * body_stage.light(model) + star(body_stage, MOON + np.array([11.0, 6.0]))
+    picture = body_stage.picture(light, [model], np.random.default_rng(8), offset_px=offset_px)
+    center = find_disk(picture, "BODY")
+    assert center.status in ("ok", "uncertain"), center.messages
+    assert chi2(center, MOON) < 14.0
 
 
 def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
