@@ -33,6 +33,7 @@ def chi2(center, truth):
     return error @ np.linalg.solve(center.covariance_px2, error)
 
 
+@pytest.mark.slow(keep=["apart_px0"])
 @pytest.mark.parametrize("apart_px", [(70.0, -40.0), (-90.0, 15.0), (20.0, 60.0)])
 def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_px):
     """A satellite's ephemeris is off, too: by more than it is wide, beside what the planet is off by."""
@@ -55,6 +56,7 @@ def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_p
     assert chi2(second, MOON) < 14.0
 
 
+@pytest.mark.slow(keep=["20.0-offset_px0"])
 @pytest.mark.parametrize(
     ("width_px", "offset_px"), [(20.0, (-6.0, 4.0)), (30.0, (-6.0, 4.0)), (20.0, (60.0, -45.0))]
 )
@@ -80,6 +82,7 @@ def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px, of
     assert chi2(second, MOON) < 14.0
 
 
+@pytest.mark.slow(keep=["0"])
 @pytest.mark.parametrize("seed", range(4))
 def test_stars_and_hits_are_no_body(body_stage, seed):
     """A body that is not in the picture is not made of what else is."""
@@ -107,6 +110,7 @@ def star(stage, place):
     return np.exp(-0.5 * (x**2 + y[:, None] ** 2) / stage.psf.sigma_px[0] ** 2)
 
 
+@pytest.mark.slow(keep=["25.0-100.0-far"])
 @pytest.mark.parametrize("place", [(322.8, 641.3), (506.2, 497.7)], ids=["far", "near"])
 @pytest.mark.parametrize(("width_px", "phase_deg"), [(6.0, 60.0), (12.0, 100.0), (25.0, 100.0)])
 def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg, place):
@@ -118,6 +122,7 @@ def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, 
     assert find_disk(picture, "BODY").status == "not_detected"
 
 
+@pytest.mark.slow(keep=["offset_px0"])
 @pytest.mark.parametrize("offset_px", [(4.0, -3.0), (45.0, 30.0)])
 def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px):
     model = body_stage.body(24.0, 40.0, MOON)
@@ -145,6 +150,7 @@ def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
     assert chi2(second, MOON) < 14.0
 
 
+@pytest.mark.slow(keep=["0"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     """None of its pixels stands out of the sky; all of them together do, by some thirty sigmas."""
