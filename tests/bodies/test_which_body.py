@@ -110,7 +110,7 @@ def star(stage, place):
     return np.exp(-0.5 * (x**2 + y[:, None] ** 2) / stage.psf.sigma_px[0] ** 2)
 
 
-@pytest.mark.slow(keep=["25.0-100.0-far"])
+@pytest.mark.slow(keep=["12.0-100.0-far"])
 @pytest.mark.parametrize("place", [(322.8, 641.3), (506.2, 497.7)], ids=["far", "near"])
 @pytest.mark.parametrize(("width_px", "phase_deg"), [(6.0, 60.0), (12.0, 100.0), (25.0, 100.0)])
 def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg, place):
