@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["BoolArray", "FloatArray", "IntArray", "freeze_arrays", "gauss_legendre", "readonly", "symmetric"]
+__all__ = [
+    "BoolArray",
+    "FloatArray",
+    "IntArray",
+    "freeze_arrays",
+    "gauss_legendre",
+    "pixel_runs",
+    "readonly",
+    "symmetric",
+]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -87,3 +96,17 @@ def gauss_legendre(count: int) -> tuple[FloatArray, FloatArray]:
     """
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return readonly(nodes), readonly(weights)
+
+
+def pixel_runs(mask: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Return line, first and one-past-last pixel (n,) of each run of marked pixels along lines.
+
+    Examples
+    --------
+    >>> [part.tolist() for part in pixel_runs(np.array([[False, True, True, False], [True, False, False, True]]))]
+    [[0, 1, 1], [1, 0, 3], [3, 1, 4]]
+    """
+    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    line, first = np.nonzero(steps == 1)
+    _, past = np.nonzero(steps == -1)
+    return line, first, past

@@ -21,7 +21,7 @@ from opnav_workbench.bodies.disk.measurement import (
     sigmas_apart,
     with_true_sky,
 )
-from opnav_workbench.bodies.neighbours import edge_reach, near_bodies
+from opnav_workbench.bodies.neighbours import edge_reach, likely_place, near_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture, standing_at
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.residuals import surface_excess
@@ -118,10 +118,9 @@ def _found_body(
 ) -> FoundBody | BodyCenter:
     """Find a body and measure its disk, or say why it is not seen."""
     search_px = search.search_radius_px
-    placed = placed_body(picture, name, search.method, circle, search_px)
-    if isinstance(placed, BodyCenter):
-        return placed
-    picture, place = placed
+    place = placed_body(picture, name, search.method, circle, search_px)
+    if isinstance(place, BodyCenter):
+        return place
     share = _saturated_share(picture, name, place)
     if share > SATURATED_SHARE:
         message = f"{100 * share:.0f} % of it is saturated; take a shorter exposure"
@@ -209,11 +208,12 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
     found: dict[str, FoundBody] = {}
     missed: dict[str, BodyCenter] = {}
     seen, shift = with_true_sky(picture), np.zeros(2)
+    scene = [model.target.name for model in picture.models]
     for name in sorted(names, key=lambda name: -outline_radius_px(picture, name)):
         circle = search.circles.get(name)
         standing = {other: body.center_px for other, body in found.items()}
-        expected = {name: picture.center_px(name) + shift} if found and circle is None else {}
-        body = _found_body(standing_at(seen, standing | expected, standing), name, circle, search)
+        expected = {other: likely_place(picture, other, shift) for other in scene} if found else {}
+        body = _found_body(standing_at(seen, expected | standing, standing), name, circle, search)
         if isinstance(body, BodyCenter):
             missed[name] = body
             continue
@@ -227,8 +227,8 @@ def detect_bodies(picture: BodyPicture, names: Sequence[str], search: SearchRequ
         if name not in names
     }
     apart = {
-        name: picture.center_px(name) + shift
-        for name in (model.target.name for model in picture.models)
+        name: likely_place(picture, name, shift)
+        for name in scene
         if name not in names and name not in touching
     }
     return DetectedScene(seen, found, missed, touching, apart)

@@ -56,8 +56,7 @@ def without_bodies(picture: BodyPicture, places_px: Mapping[str, FloatArray]) ->
     if not places_px:
         return picture
     whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-    lit = _lit_by(picture, places_px, cut_out(picture, whole))
-    return replace(picture, bad=picture.bad | lit, saturated=picture.saturated & ~lit)
+    return picture.without(_lit_by(picture, places_px, cut_out(picture, whole)))
 
 
 def _lit_by(picture: BodyPicture, places_px: Mapping[str, FloatArray], cutout: Cutout) -> BoolArray:

@@ -206,6 +206,10 @@ class BodyPicture:
         """Tell which pixels (n_line, n_pixel) of a part of the picture show anything: saturated ones do, whatever else."""
         return np.isfinite(self.signal_dn[part]) & (~self.bad[part] | self.saturated[part])
 
+    def without(self, pixels: BoolArray) -> "BodyPicture":
+        """Return the picture with pixels (n_line, n_pixel) that show nothing of what is looked for, saturated or not."""
+        return replace(self, bad=self.bad | pixels, saturated=self.saturated & ~pixels)
+
     def prediction(self, name: str) -> BodyPrediction:
         """Return where and how large a body is expected."""
         return predict_body(

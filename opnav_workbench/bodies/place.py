@@ -119,7 +119,7 @@ def find_place(
     found = close
     if found is None or found.score < NEAR_SHARE:
         alone = _without_found(picture, name, expected, np.inf if limit is None else limit)
-        found = _in_company(alone, name, ratio, expected, limit, close)
+        found = _in_company(alone, name, ratio, expected, limit, near, close)
     if found is None or found.score < LEAST_SCORE or not _stands_out(alone, name, found, expected, near):
         reach = max(near, FAINT_SEARCH_PX) if limit is None else limit
         alone = _without_found(picture, name, expected, reach)
@@ -168,8 +168,7 @@ def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: Flo
 def _without_disk(picture: BodyPicture, center_px: FloatArray, radius_px: float) -> BodyPicture:
     """Return the picture with the pixels about a place not known."""
     pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]
-    taken = np.hypot(pixel - center_px[0], line - center_px[1]) < radius_px
-    return replace(picture, bad=picture.bad | taken, saturated=picture.saturated & ~taken)
+    return picture.without(np.hypot(pixel - center_px[0], line - center_px[1]) < radius_px)
 
 
 def _others_there(picture: BodyPicture, name: str) -> list[str]:
@@ -198,6 +197,7 @@ def _in_company(
     ratio: float,
     expected: FloatArray,
     limit: float | None,
+    near: float,
     close: BodyPlace | None = None,
 ) -> BodyPlace | None:
     """Return where a body's silhouette is; of two places, and one `close` by, where others are as they should be beside it.
@@ -205,7 +205,6 @@ def _in_company(
     What looks like the body may be another one, the more so where charge of the body itself has spilled.
     """
     found = _silhouette_place(picture, name, ratio, expected, limit)
-    near = search_radius(0.5 * picture.diameter_px(name) * ratio, None)
     others = _others_there(picture, name)
     if found is None or not others or np.hypot(*(found.center_px - expected)) <= near:
         return found
@@ -215,11 +214,8 @@ def _in_company(
     def score(place: BodyPlace) -> float:
         shift, total = place.center_px - expected, place.score
         for other in others:
-            at, reach = (
-                picture.center_px(other) + shift,
-                search_radius(0.5 * picture.diameter_px(other), None),
-            )
-            beside = _silhouette_place(picture, other, 1.0, at, reach)
+            reach = search_radius(0.5 * picture.diameter_px(other), None)
+            beside = _silhouette_place(picture, other, 1.0, picture.center_px(other) + shift, reach)
             total += 0.0 if beside is None or beside.score < LEAST_SCORE else beside.score
         return total
 
@@ -400,7 +396,7 @@ def _blurred_place(
     if limit is not None:
         return None
     alone = _without_found(picture, name, expected, np.inf)
-    rough = _in_company(alone, name, ratio, expected, None)
+    rough = _in_company(alone, name, ratio, expected, None, near)
     if rough is None or rough.score < LEAST_SCORE or not _stands_out(alone, name, rough, expected, near):
         return None
     return _place_of_light(alone, name, ratio, rough.center_px, REFINED_PX)

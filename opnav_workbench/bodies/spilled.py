@@ -3,12 +3,10 @@
 It runs as much up as down, so that the middle of a saturated run is the body's, whatever its length.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, pixel_runs
 from opnav_workbench.bodies.picture import BodyPicture
 
 __all__ = ["without_spilled"]
@@ -30,7 +28,7 @@ def without_spilled(picture: BodyPicture, width_px: float) -> BodyPicture:
     spilled = _ends(down, across, width_px) | _ends(across, down, width_px)
     kept = picture.saturated & ~spilled
     about = binary_dilation(spilled, iterations=PARTLY_FILLED_PX) & ~kept if spilled.any() else spilled
-    return replace(picture, bad=picture.bad | about, saturated=kept)
+    return picture.without(about)
 
 
 def _ends(
@@ -44,15 +42,12 @@ def _ends(
 def _runs(mask: BoolArray, axis: int) -> tuple[FloatArray, FloatArray]:
     """Return the length of the run that each pixel lies in, and how far from its middle; infinite runs reach the edge."""
     lines = np.moveaxis(mask, axis, -1)
-    padded = np.pad(lines.astype(np.int8), ((0, 0), (1, 1)))
-    change = np.diff(padded, axis=1)
-    row, first = np.nonzero(change > 0)
-    last = np.nonzero(change < 0)[1]  # as many, and in the same order
-    count = last - first
+    row, first, past = pixel_runs(lines)
+    count = past - first
     length, away = np.zeros(lines.shape), np.zeros(lines.shape)
     cell = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     at = np.repeat(row, count), np.repeat(first, count) + cell
-    cut = (first == 0) | (last == lines.shape[1])
+    cut = (first == 0) | (past == lines.shape[1])
     length[at] = np.repeat(np.where(cut, np.inf, count), count)
     away[at] = np.abs(cell - np.repeat(0.5 * (count - 1), count))
     return np.moveaxis(length, -1, axis), np.moveaxis(away, -1, axis)

@@ -247,9 +247,9 @@ def common_shift_px(
     found = []
     for name in {body.name for body in state.bodies} - set(wanted):
         center, target = best_center(state, name), inputs.targets.get(name)
-        if center is None or center.pixel_line is None or target is None or target.is_star:
+        if center is None or center.pixel_line is None or center.status != "ok":
             continue
-        if center.status != "ok":
+        if target is None or target.is_star:
             continue
         there = predict_body(target, inputs.observer, context.camera, best_attitude(inputs, state))
         found.append((np.nan_to_num(there.diameter_px), name, center.pixel_line - there.pixel_line))

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, pixel_runs
 from opnav_workbench.camera import Camera
 from opnav_workbench.geometry import apparent_direction, radec_from_unit, terminator_points, unit_from_radec
 from opnav_workbench.scene import BodyPrediction, predict_body
@@ -171,7 +171,7 @@ def mask_runs(mask: BoolArray) -> Columns:
     block = 1
     while True:
         coarse = _coarse(mask, block)
-        line, first, past = _pixel_runs(coarse)
+        line, first, past = pixel_runs(coarse)
         if len(line) <= MOST_RUNS:
             break
         block *= 2
@@ -190,14 +190,6 @@ def _coarse(mask: BoolArray, block: int) -> BoolArray:
     padded = np.pad(mask, [(0, -size % block) for size in mask.shape])
     shape = (padded.shape[0] // block, block, padded.shape[1] // block, block)
     return np.asarray(padded.reshape(shape).any(axis=(1, 3)))
-
-
-def _pixel_runs(mask: BoolArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Line, first and one-past-last pixel of each run."""
-    steps = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    line, first = np.nonzero(steps == 1)
-    _, past = np.nonzero(steps == -1)
-    return line, first, past
 
 
 # ---- Bodies over the picture: limb where predicted and where observed, terminator, pole, name.

@@ -10,6 +10,11 @@ from opnav_workbench.bodies import displaced_model, find_disk, find_jointly, sta
 PLANET, MOON = np.array([420.0, 560.0]), np.array([560.0, 430.0])
 
 
+def planet_and_moon(stage, widths_px, phase_deg):
+    named = zip(widths_px, (PLANET, MOON), ("PLANET", "MOON"), strict=True)
+    return [stage.body(width, phase_deg, place, name=name) for width, place, name in named]
+
+
 def spilled(light, full_well):
     """Charge that pixels cannot hold runs along their columns, as much up as down, until there is room."""
     kept = light.copy()
@@ -28,6 +33,12 @@ def spilled(light, full_well):
     return kept
 
 
+def star(stage, place):
+    """Light of a star, its brightest pixel about 1."""
+    x, y = (np.arange(1024) - at for at in place)
+    return np.exp(-0.5 * (x**2 + y[:, None] ** 2) / stage.psf.sigma_px[0] ** 2)
+
+
 def chi2(center, truth):
     error = center.pixel_line - truth
     return error @ np.linalg.solve(center.covariance_px2, error)
@@ -37,10 +48,7 @@ def chi2(center, truth):
 @pytest.mark.parametrize("apart_px", [(70.0, -40.0), (-90.0, 15.0), (20.0, 60.0)])
 def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_px):
     """A satellite's ephemeris is off, too: by more than it is wide, beside what the planet is off by."""
-    planet, moon = (
-        body_stage.body(width, 35.0, place, name=name)
-        for width, place, name in ((50.0, PLANET, "PLANET"), (16.0, MOON, "MOON"))
-    )
+    planet, moon = planet_and_moon(body_stage, (50.0, 16.0), 35.0)
     light = body_stage.light(planet, moon)
     picture = body_stage.picture(light, (planet, moon), np.random.default_rng(5), offset_px=(31.0, -22.0))
     off = displaced_model(picture, "MOON", picture.center_px("MOON") + apart_px)
@@ -62,10 +70,7 @@ def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_p
 )
 def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px, offset_px):
     """A planet so overexposed that its column is longer than it is wide looks less like a disk than its moon does."""
-    planet, moon = (
-        body_stage.body(width, 15.0, place, name=name)
-        for width, place, name in ((width_px, PLANET, "PLANET"), (0.5 * width_px, MOON, "MOON"))
-    )
+    planet, moon = planet_and_moon(body_stage, (width_px, 0.5 * width_px), 15.0)
     data = 60_000.0 * body_stage.light(planet, moon)
     data = np.random.default_rng(3).poisson(np.minimum(data, 4e6) * 20.0) / 20.0
     data = spilled(data, 4000.0) + np.random.default_rng(4).normal(0.0, 3.0, data.shape)
@@ -91,10 +96,7 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
     light = np.zeros((1024, 1024))
     for _ in range(60):
         at = rng.uniform(20.0, 1000.0, 2)
-        y, x = (np.arange(1024) - at[k] for k in (1, 0))
-        light += rng.exponential(0.5) * np.exp(
-            -0.5 * (x**2 + y[:, None] ** 2) / body_stage.psf.sigma_px[0] ** 2
-        )
+        light += rng.exponential(0.5) * star(body_stage, at)
     for _ in range(120):  # tracks of cosmic rays
         start, angle = rng.uniform(20.0, 1000.0, 2), rng.uniform(0.0, np.pi)
         along = start + np.arange(0.0, rng.exponential(6.0), 0.5)[:, None] * [np.cos(angle), np.sin(angle)]
@@ -102,12 +104,6 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
             light[line, pixel] += rng.exponential(0.4)
     picture = body_stage.picture(light, [model], rng, offset_px=(3.0, 2.0))
     assert find_disk(picture, "BODY").status == "not_detected"
-
-
-def star(stage, place):
-    """Light of a star, its brightest pixel about 1."""
-    x, y = (np.arange(1024) - at for at in place)
-    return np.exp(-0.5 * (x**2 + y[:, None] ** 2) / stage.psf.sigma_px[0] ** 2)
 
 
 @pytest.mark.slow(keep=["12.0-100.0-far"])
@@ -134,10 +130,7 @@ def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px):
 
 
 def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
-    planet, moon = (
-        body_stage.body(width, 60.0, place, name=name)
-        for width, place, name in ((14.0, PLANET, "PLANET"), (7.0, MOON, "MOON"))
-    )
+    planet, moon = planet_and_moon(body_stage, (14.0, 7.0), 60.0)
     lost = np.zeros((1024, 1024), dtype=bool)
     lost[PLANET.astype(int)[1] - 20 :, PLANET.astype(int)[0] - 20 :][:40, :40] = True
     light = body_stage.light(planet, moon)

@@ -120,10 +120,11 @@ def measure_disk(
     CenterfindingError
         No such body in the picture.
     """
-    placed = placed_body(picture, name, method, circle, search_px)
-    if isinstance(placed, BodyCenter):
-        return placed
-    return disk_at(*placed, name, method, circle, search_px, quick=quick)
+    picture = with_true_sky(picture)
+    place = placed_body(picture, name, method, circle, search_px)
+    if isinstance(place, BodyCenter):
+        return place
+    return disk_at(picture, place, name, method, circle, search_px, quick=quick)
 
 
 @one_thread()
@@ -159,8 +160,8 @@ def disk_at(
 
 def placed_body(
     picture: BodyPicture, name: str, method: str, circle: Circle | None, search_px: float | None
-) -> tuple[BodyPicture, BodyPlace] | BodyCenter:
-    """Find where a body stands in a picture whose sky is made sure of; a `BodyCenter` without a center where it is not seen.
+) -> BodyPlace | BodyCenter:
+    """Find where a body stands in a picture as of `with_true_sky`; a `BodyCenter` without a center where it is not seen.
 
     Parameters as of `measure_disk`.
     """
@@ -168,13 +169,12 @@ def placed_body(
         return BodyCenter.without_center(name, method, "failed", why)
     if (beside := _beside_the_detector(picture, name, circle, search_px)) is not None:
         return BodyCenter.without_center(name, method, "off_detector", beside)
-    picture = with_true_sky(picture)
     try:
         place = find_place(picture, name, circle, search_px)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
     if place is not None:
-        return picture, place
+        return place
     seen = picture.shown(choose_subarray(picture, name, circle, 0.0).slices)
     if (
         seen.size and not seen.any()
