@@ -71,7 +71,9 @@ def test_several_workers_leave_the_number_as_it_was():
 def test_a_step_of_a_session_and_a_disk_compute_with_one_thread(monkeypatch):
     seen = []
     monkeypatch.setattr(measurement, "with_true_sky", lambda picture: seen.append(threads_of_blas()))
-    monkeypatch.setattr(measurement, "placed_body", lambda _, name, *a: BodyCenter.without_center(name, "disk", "failed"))
+    monkeypatch.setattr(
+        measurement, "placed_body", lambda _, name, *a: BodyCenter.without_center(name, "disk", "failed")
+    )
     assert measurement.measure_disk(None, "BODY", "disk", None, None).status == "failed"
     monkeypatch.setitem(history.STEPS, "looked", (lambda *a: seen.append(threads_of_blas()), None))
     history.History.state_after_step(
