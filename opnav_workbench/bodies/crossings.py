@@ -23,6 +23,7 @@ from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert, Sca
 from opnav_workbench.render.body import PlacedBody
 
 __all__ = [
+    "HALF_PX",
     "INTERPOLATED_VARIANCE",
     "RELIEF_RAD",
     "CrossingFit",
@@ -47,6 +48,7 @@ INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere be
 WHOLE_SHARE, MOSTLY_WHOLE, LEAST_SHARE = 0.95, 0.5, 0.02
 NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
 LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
+HALF_PX = 0.15  # nor where pattern or law are steep at the limb: what lies farther from an outline is of another figure
 RELIEF_RAD = 0.2  # of topography along a limb
 SATURATED_PX = 2.0  # how far saturation may move a crossing
 MOST_CHANGED_PX = 2.0  # by a law: beyond, another edge was crossed
@@ -65,12 +67,15 @@ class LimbCrossings:
         Which rays have one.
     changes : (n, k) array
         Of what was expected, by a sigma of each thing that is uncertain of the light.
+    noise_px
+        What noise moves one of them by.
     """
 
     angle_rad: FloatArray
     depth_px: FloatArray
     known: BoolArray
     changes: FloatArray
+    noise_px: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -148,7 +153,16 @@ def cross_limb(
         moved.append(SATURATED_PX * np.any(behind & _touches(picture.saturated, places), axis=1))
     changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
     changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
-    return LimbCrossings(angle, observed - np.where(at_limb, expected, 0.0), known, changes)
+    away = observed - np.where(at_limb, expected, 0.0)
+    return LimbCrossings(angle, away, known, changes, _noise_px(picture, bright))
+
+
+def _noise_px(picture: BodyPicture, bright_dn: float) -> float:
+    """Return what noise moves a crossing by, of a limb so bright: at half of it, over the slope of a blurred edge."""
+    half = 0.5 * max(bright_dn, 0.0)
+    noise = np.sqrt(float(np.median(picture.noise_dn)) ** 2 + half / picture.shot_gain_e_per_dn)
+    width = np.sqrt(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE)
+    return float(np.sqrt(TURN) * width * noise / max(bright_dn, noise))
 
 
 def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
@@ -225,6 +239,10 @@ class CrossingFit:
         Of all five, from the scatter of the crossings and its correlation along the limb.
     residual_px : (n,) array
         nan where there is no crossing.
+    relief_px
+        How far most of the limb is from any such outline, beyond what half of the brightness may be: 1 sigma.
+    relief_px2 : (2, 2) array
+        Covariance of the center by that: a figure that is not the model's has its middle elsewhere, and its light as well.
     free_log_size, free_size_sigma
         Change of the size and its uncertainty, as if nothing were known of the figure but its widest bounds.
     """
@@ -234,6 +252,8 @@ class CrossingFit:
     strain: FloatArray
     covariance: FloatArray
     residual_px: FloatArray
+    relief_px: float
+    relief_px2: FloatArray
     free_log_size: float
     free_size_sigma: float
 
@@ -289,7 +309,9 @@ def fit_crossings(
         solution = solved(solution, near, near**2, widest)
         near = max(0.5 * near, NEAREST_PX, relief_px)
     # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
-    variance = _scatter(residual) + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
+    spread, alike = _scatter(residual)
+    common = (1.0 + alike) / (1.0 - alike)
+    variance = common * spread**2 + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
     free = float(solved(solution, near, variance, widest)[2])
     solution = solved(solution, near, variance, scales)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
@@ -299,8 +321,17 @@ def fit_crossings(
         mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest)
     )
     size_sigma = float(np.sqrt(alone[2, 2]))
+    beyond_px2 = max(alike * spread**2 - HALF_PX**2 - crossings.noise_px**2, 0.0)
     return CrossingFit(
-        solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5], residual, free, size_sigma
+        solution[:2],
+        float(solution[2]),
+        solution[3:5],
+        mixed[:5, :5],
+        residual,
+        float(np.sqrt(beyond_px2)),
+        mixed[:2, :2] * (common * beyond_px2 / variance),
+        free,
+        size_sigma,
     )
 
 
@@ -314,14 +345,13 @@ def crossing_columns(angle: FloatArray, outline: Outline) -> FloatArray:
     return np.concatenate([u - slope[:, None] * across, grown.T], axis=1)
 
 
-def _scatter(residual: FloatArray) -> float:
-    """Return the variance of crossings (n,), nan where there is none, that errors of each by itself would amount to."""
+def _scatter(residual: FloatArray) -> tuple[float, float]:
+    """Return the spread of crossings (n,), nan where there is none, and how much neighbours are alike."""
     known = residual[np.isfinite(residual)]
     if not len(known):
-        return np.inf
+        return np.inf, 0.0
     spread = max(MAD_TO_SIGMA * float(np.median(np.abs(known))), LEAST_SPREAD_PX)
     even = np.clip(np.nan_to_num(residual) / spread, -3.0, 3.0)
     both = np.isfinite(residual) & np.isfinite(np.roll(residual, 1))
     alike = float(np.sum(even[both] * np.roll(even, 1)[both]) / max(float(np.sum(even[both] ** 2)), 1e-9))
-    alike = float(np.clip(alike, 0.0, 0.95))
-    return spread**2 * (1.0 + alike) / (1.0 - alike)
+    return spread, float(np.clip(alike, 0.0, 0.95))

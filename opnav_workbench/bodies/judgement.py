@@ -196,7 +196,7 @@ def judged_center(
         method=reading.method,
         status="uncertain" if flags & DOUBTFUL_FLAGS else "ok",
         pixel_line=reading.center_px,
-        covariance_px2=symmetric(reading.covariance_px2 + excess),
+        covariance_px2=symmetric(reading.covariance_px2 + disk.relief_px2 + excess),
         flux_dn=float(fit.light_dn().sum()),
         snr=fit.brightness_dn / max(fit.sigma(Unknown.BRIGHTNESS), 1e-12),
         diameter_px=diameter,

@@ -11,7 +11,13 @@ import numpy as np
 from scipy.special import softmax
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.crossings import INTERPOLATED_VARIANCE, CrossingFit, cross_limb, fit_crossings
+from opnav_workbench.bodies.crossings import (
+    HALF_PX,
+    INTERPOLATED_VARIANCE,
+    CrossingFit,
+    cross_limb,
+    fit_crossings,
+)
 from opnav_workbench.bodies.disk.blocks import DiskPixels
 from opnav_workbench.bodies.disk.fit import (
     PLACE_SIGMAS,
@@ -91,6 +97,11 @@ class MeasuredDisk:
     def log_size(self) -> tuple[float, float]:
         """Logarithm of the size over the model's, and its sigma."""
         return self.fit.shape.log_size, self.fit.sigma(Unknown.SIZE)
+
+    @property
+    def relief_px2(self) -> FloatArray:
+        """Covariance (2, 2) of the center by a limb that is not the model's, which no fit with the model knows of."""
+        return np.zeros((2, 2)) if self.crossing is None else self.crossing.relief_px2
 
     @property
     def expected_px(self) -> FloatArray:
@@ -245,7 +256,6 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
 
 FEWEST_CROSSINGS = 12
 ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
-HALF_PX = 0.15  # where pattern or law are steep at the limb
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 START_SIZES = (0.7, 1.4)
 WIDER = 2.0  # sigma of a fit along its own light, at most, over that of the other one
