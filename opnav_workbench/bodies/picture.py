@@ -206,6 +206,11 @@ class BodyPicture:
         """Tell which pixels (n_line, n_pixel) of a part of the picture show anything: saturated ones do, whatever else."""
         return np.isfinite(self.signal_dn[part]) & (~self.bad[part] | self.saturated[part])
 
+    def with_model(self, model: BodyModel) -> "BodyPicture":
+        """Return the picture with another model of the body that it is of."""
+        name = model.target.name
+        return replace(self, models=tuple(model if m.target.name == name else m for m in self.models))
+
     def without(self, pixels: BoolArray) -> "BodyPicture":
         """Return the picture with pixels (n_line, n_pixel) that show nothing of what is looked for, saturated or not."""
         return replace(self, bad=self.bad | pixels, saturated=self.saturated & ~pixels)

@@ -42,7 +42,7 @@ def strained_picture(picture: BodyPicture, name: str, strain: FloatArray) -> Bod
     if not can_be_strained(model) or not np.any(strain):
         return picture
     other = _strained_model(picture, model, strain_matrix(strain))
-    return replace(picture, models=tuple(other if m is model else m for m in picture.models))
+    return picture.with_model(other)
 
 
 def strain_matrix(strain: FloatArray) -> FloatArray:

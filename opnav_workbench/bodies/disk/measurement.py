@@ -99,6 +99,16 @@ class MeasuredDisk:
         return self.fit.shape.log_size, self.fit.sigma(Unknown.SIZE)
 
     @property
+    def relief_share(self) -> float:
+        """How far most of the limb is from any outline of the model's kind, beyond noise and pattern, over the radius."""
+        return 0.0 if self.crossing is None else self.crossing.relief_px / self.radius_px
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether the limb is rougher by far than was stated of the body."""
+        return self.relief_share > ROUGHER * self.fit.figure.limb_roughness
+
+    @property
     def relief_px2(self) -> FloatArray:
         """Covariance (2, 2) of the center by a limb that is not the model's, which no fit with the model knows of."""
         return np.zeros((2, 2)) if self.crossing is None else self.crossing.relief_px2
@@ -149,7 +159,43 @@ def disk_at(
     *,
     quick: bool = False,
 ) -> MeasuredDisk | BodyCenter:
-    """Fit the disk of a body that `placed_body` has found; parameters as of `measure_disk`."""
+    """Fit the disk of a body that `placed_body` has found; parameters as of `measure_disk`.
+
+    A limb that is rougher than anybody has stated is asked once more: what lay too far off an outline to be believed is
+    its relief.
+    """
+    disk = _disk_at(picture, place, name, method, circle, search_px, quick=quick)
+    if quick or isinstance(disk, BodyCenter) or not disk.is_rough:
+        return disk
+    rough = _roughened(picture, name, disk)
+    there = placed_body(rough, name, method, circle, search_px)
+    if isinstance(there, BodyCenter):
+        return disk
+    other = _disk_at(rough, there, name, method, circle, search_px)
+    if isinstance(other, BodyCenter):
+        return disk
+    away = WANDERED_SHARE * (other.fit.center_px - disk.fit.center_px)
+    fit = replace(other.fit, unrest_px2=other.fit.unrest_px2 + np.outer(away, away))
+    return replace(other, picture=picture, fit=fit)
+
+
+def _roughened(picture: BodyPicture, name: str, disk: MeasuredDisk) -> BodyPicture:
+    """Return the picture with a body as rough as its disk has shown."""
+    model = picture.model(name)
+    roughness = min(disk.relief_share, ROUGHEST)
+    return picture.with_model(replace(model, figure=replace(model.figure, limb_roughness=roughness)))
+
+
+def _disk_at(
+    picture: BodyPicture,
+    place: BodyPlace,
+    name: str,
+    method: str,
+    circle: Circle | None,
+    search_px: float | None,
+    *,
+    quick: bool = False,
+) -> MeasuredDisk | BodyCenter:
     try:
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
@@ -250,6 +296,10 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     out = np.zeros(pixels.use.shape, dtype=bool)
     out[part] = find_hit_pixels(residual[part], weight[part])
     return out
+
+
+ROUGHER = 3.0  # than stated
+ROUGHEST = 0.2  # of the radius
 
 
 # ---- Where rays cross the limb, with the light that was fitted: a reading that knows neither weights nor albedo.

@@ -21,7 +21,6 @@ from opnav_workbench.estimation.body.solution import BodySolution, solve_body
 from opnav_workbench.estimation.state_transition import Transition, straight_line
 from opnav_workbench.geometry import rotation_from_vector
 from opnav_workbench.landmarks import LandmarkSolution
-from opnav_workbench.render import BodyModel
 from opnav_workbench.targets import TargetState
 
 __all__ = ["SequencePicture", "solve_body_from_pictures", "solved_picture"]
@@ -162,7 +161,7 @@ def _picture_with(
     own = one.picture.model(name)
     plain = replace(own, target=sighting.target, shape=None, albedo=1.0)
     model = plain if solution is None else solution.model(plain, sighting, transition)
-    return _with_model(one.picture, own, model)
+    return one.picture.with_model(model)
 
 
 def solved_picture(
@@ -178,10 +177,6 @@ def solved_picture(
 def _placed(target: TargetState, rotation: BodyRotation, radii_km: FloatArray, et: float) -> TargetState:
     turn = rotation.body_from_j2000(et - target.range_km / SPEED_OF_LIGHT_KM_S)
     return replace(target, radii_km=radii_km, body_from_j2000=turn)
-
-
-def _with_model(picture: BodyPicture, old: BodyModel, new: BodyModel) -> BodyPicture:
-    return replace(picture, models=tuple(new if model is old else model for model in picture.models))
 
 
 def _start(solution: BodySolution, sightings: Sequence[BodySighting]) -> BodyState:
