@@ -201,7 +201,8 @@ class TargetSurface(StrictModel):
         0.05 or a part of that, with a shape model 0.02.
     limb_roughness
         Root mean square of the topography as a part of the mean radius: by default 0.003, as of the small round moons of
-        Saturn; larger moons are smoother, small asteroids rougher by far.
+        Saturn; larger moons are smoother, small asteroids rougher by far. One that shows to be more than three times as
+        rough is fitted as rough as it shows.
     albedo_sigma
         1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2 or a part of that, as a
         picture of the disk has it; with an albedo map 0.05. It makes most of the uncertainty of a center of a few pixels.

@@ -63,8 +63,8 @@ class LimbCrossings:
     angle_rad : (n,) array
     depth_px : (n,) array
         Distance from where a crossing was expected.
-    known : (n,) array of bool
-        Which rays have one.
+    expected, known : (n,) arrays of bool
+        Rays that the picture shows and on which the model is lit up to its limb; those that have a crossing.
     changes : (n, k) array
         Of what was expected, by a sigma of each thing that is uncertain of the light.
     noise_px
@@ -73,6 +73,7 @@ class LimbCrossings:
 
     angle_rad: FloatArray
     depth_px: FloatArray
+    expected: BoolArray
     known: BoolArray
     changes: FloatArray
     noise_px: float
@@ -154,7 +155,7 @@ def cross_limb(
     changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
     changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
     away = observed - np.where(at_limb, expected, 0.0)
-    return LimbCrossings(angle, away, known, changes, _noise_px(picture, bright))
+    return LimbCrossings(angle, away, at_limb & whole, known, changes, _noise_px(picture, bright))
 
 
 def _noise_px(picture: BodyPicture, bright_dn: float) -> float:

@@ -240,6 +240,7 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
         BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(reading)),
         BodyFlag.UNCONFIRMED: not _confirmed(reading),
+        BodyFlag.ROUGH_LIMB: disk.is_rough,
     }
     standing = standing_flags(picture, disk.name, extent, disk.radius_px, reading.covariance_px2)
     lost = lost_pixels(picture, here, lit, disk.pixels.use[here], disk.hits[here])
@@ -321,6 +322,8 @@ def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
         BodyFlag.UNCONFIRMED: apart,
         BodyFlag.EMPTY: f"{100.0 * disk.fit.lit_share:.0f} % of its limb is lit and in sight",
         BodyFlag.OVEREXPOSED: "take a shorter exposure",
+        BodyFlag.ROUGH_LIMB: f"its relief is {100.0 * disk.relief_share:.1f} % of the radius: state its limb_roughness, or "
+        "give its shape",
         **reading.notes,
     }
 

@@ -220,6 +220,7 @@ class BodyFlag(IntFlag):
     HIT = 1024
     NOT_CONVERGED = 2048
     UNCONFIRMED = 8192
+    ROUGH_LIMB = 16384
 
 
 _MEANING = {
@@ -236,6 +237,7 @@ _MEANING = {
     BodyFlag.HIT: "pixels with light that is not the body's (cosmic rays, stars) were left out",
     BodyFlag.NOT_CONVERGED: "the solution did not converge",
     BodyFlag.UNCONFIRMED: "a second reading of the picture does not confirm it",
+    BodyFlag.ROUGH_LIMB: "its limb is not the model's",
 }
 
 

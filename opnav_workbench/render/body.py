@@ -49,7 +49,7 @@ class FigureUncertainty:
     axes_sigma
         Of each principal axis of the outline, beside the common size.
     limb_roughness
-        Root mean square of the topography.
+        Root mean square of the topography. A limb that shows to be rougher by far is believed.
     albedo_sigma
         Of what whole hemispheres differ by in brightness. Light curves of Pluto, Charon, the large satellites of Jupiter and
         Saturn, Ceres and Vesta have 0.2 mag rms, with Iapetus 0.5.

@@ -106,7 +106,7 @@ class MeasuredDisk:
     @property
     def is_rough(self) -> bool:
         """Whether the limb is rougher by far than was stated of the body."""
-        return self.relief_share > ROUGHER * self.fit.figure.limb_roughness
+        return self.relief_share > ROUGHER * self.picture.model(self.name).figure.limb_roughness
 
     @property
     def relief_px2(self) -> FloatArray:
@@ -318,6 +318,10 @@ UNSURE = (
     "strain_yz",
 )  # of the light: near a cusp it moves a crossing
 BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
+MOSTLY_CROSSED, FAR_SHARE = (
+    0.7,
+    0.1,
+)  # of the rays that should cross the limb; of the radius, where they do not
 LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
@@ -343,6 +347,11 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
     crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
+    if np.count_nonzero(crossings.known) < MOSTLY_CROSSED * np.count_nonzero(crossings.expected):
+        reach += (
+            FAR_SHARE * 0.5 * fit.smooth_outline.diameter_px
+        )  # most of the limb is not where it is expected
+        crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
         return None
     return fit_crossings(crossings, fit.smooth_outline, fit.figure, fit.prior.rough_px, expected, 1.0)
