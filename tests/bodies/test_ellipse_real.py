@@ -117,7 +117,7 @@ def test_eros_is_no_ellipsoid(data_dir):
     # The limb itself is found, all along the lower side: half way between disk and sky.
     used = limb.points_px[limb.status == "used"]
     assert len(used) > 25
-    assert np.ptp(used[:, 0]) > 400.0
+    assert np.ptp(used[:, 0]) > 300.0
     for pixel, line in used[5:-5:8]:
         column = picture.signal_dn[:, round(float(pixel))]
         inside, outside = column[round(float(line)) - 4], column[round(float(line)) + 4]

@@ -47,6 +47,8 @@ class ScanMatch:
     brightness : (n,) array
     metric : (n, w, w) array
         Inverse of V, backgrounds taken out.
+    relief_px
+        Of the limb, 1 sigma: part of `covariance`.
     """
 
     offset_px: FloatArray
@@ -55,6 +57,7 @@ class ScanMatch:
     covariance: FloatArray
     brightness: FloatArray
     metric: FloatArray
+    relief_px: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
@@ -63,6 +66,12 @@ class ScanMatch:
     def sigma_px(self) -> FloatArray:
         """Of each offset (n,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def edge_sigma_px(self) -> FloatArray:
+        """Of each offset (n,), without the relief: how well the edge is seen, wherever the limb has it."""
+        own = np.diag(self.covariance) - self.relief_px**2
+        return np.sqrt(np.maximum(own, np.diag(self.noise)))
 
 
 def match_scans(view: ScanView, fit: DiskFit) -> ScanMatch:
@@ -83,6 +92,7 @@ def match_scans(view: ScanView, fit: DiskFit) -> ScanMatch:
         covariance=noise + _surface_covariance(view, fit, field, gain) + TABLES_PX**2 * np.eye(len(gain)),
         brightness=_brightness(view),
         metric=metric,
+        relief_px=fit.prior.rough_px,
     )
 
 

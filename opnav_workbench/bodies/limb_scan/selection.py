@@ -139,7 +139,9 @@ def _obstacles(view: ScanView, match: ScanMatch, edge_px: FloatArray, covered: B
     reason = np.full(len(view.fan), "", dtype="<U160")
     told = view.limb**2
     lost = np.where(view.blocked, told, 0.0).sum(axis=1) > LOST_SHARE * np.maximum(told.sum(axis=1), 1e-300)
-    reason[~(match.sigma_px < FAINT_PX)] = f"too faint: its edge is uncertain by more than {FAINT_PX:g} px"
+    reason[~(match.edge_sigma_px < FAINT_PX)] = (
+        f"too faint: its edge is uncertain by more than {FAINT_PX:g} px"
+    )
     reason[lost] = (
         "its edge lies off the detector, or on bad or saturated pixels or ones that another body lights"
     )
