@@ -164,38 +164,6 @@ def disk_at(
     A limb that is rougher than anybody has stated is asked once more: what lay too far off an outline to be believed is
     its relief.
     """
-    disk = _disk_at(picture, place, name, method, circle, search_px, quick=quick)
-    if quick or isinstance(disk, BodyCenter) or not disk.is_rough:
-        return disk
-    rough = _roughened(picture, name, disk)
-    there = placed_body(rough, name, method, circle, search_px)
-    if isinstance(there, BodyCenter):
-        return disk
-    other = _disk_at(rough, there, name, method, circle, search_px)
-    if isinstance(other, BodyCenter):
-        return disk
-    away = WANDERED_SHARE * (other.fit.center_px - disk.fit.center_px)
-    fit = replace(other.fit, unrest_px2=other.fit.unrest_px2 + np.outer(away, away))
-    return replace(other, picture=picture, fit=fit)
-
-
-def _roughened(picture: BodyPicture, name: str, disk: MeasuredDisk) -> BodyPicture:
-    """Return the picture with a body as rough as its disk has shown."""
-    model = picture.model(name)
-    roughness = min(disk.relief_share, ROUGHEST)
-    return picture.with_model(replace(model, figure=replace(model.figure, limb_roughness=roughness)))
-
-
-def _disk_at(
-    picture: BodyPicture,
-    place: BodyPlace,
-    name: str,
-    method: str,
-    circle: Circle | None,
-    search_px: float | None,
-    *,
-    quick: bool = False,
-) -> MeasuredDisk | BodyCenter:
     try:
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
@@ -212,7 +180,25 @@ def _disk_at(
             fit = _over_sizes(picture, name, place, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
-    return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
+    disk = MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
+    return disk if quick or not disk.is_rough else _as_rough_as_it_shows(disk, method)
+
+
+def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
+    """Return the disk found and fitted anew, half of the difference in its covariance; as it is where that cannot be."""
+    picture, name, circle, search_px = disk.picture, disk.name, disk.circle, disk.search_px
+    model = picture.model(name)
+    figure = replace(model.figure, limb_roughness=min(disk.relief_share, ROUGHEST))
+    rough = picture.with_model(replace(model, figure=figure))
+    place = placed_body(rough, name, method, circle, search_px)
+    if isinstance(place, BodyCenter):
+        return disk
+    other = disk_at(rough, place, name, method, circle, search_px)
+    if isinstance(other, BodyCenter):
+        return disk
+    away = WANDERED_SHARE * (other.fit.center_px - disk.fit.center_px)
+    fit = replace(other.fit, unrest_px2=other.fit.unrest_px2 + np.outer(away, away))
+    return replace(other, picture=picture, fit=fit)
 
 
 def placed_body(
