@@ -137,7 +137,8 @@ def cross_limb(
     width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
     lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
     bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
-    faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * float(np.median(picture.noise_dn)))
+    noise = float(np.median(picture.noise_dn))
+    faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * noise)
     observed = crossing_depths(np.where(valid, data, 0.0), depth, width, faint)
     middle = float(np.median(model[lit])) if lit.any() else 1.0
     expected = crossing_depths(model, depth, width, FAINT_SHARE * middle)
@@ -155,15 +156,19 @@ def cross_limb(
     changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
     changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
     away = observed - np.where(at_limb, expected, 0.0)
-    return LimbCrossings(angle, away, at_limb & whole, known, changes, _noise_px(picture, bright))
+    return LimbCrossings(angle, away, at_limb & whole, known, changes, _noise_px(picture, noise, bright))
 
 
-def _noise_px(picture: BodyPicture, bright_dn: float) -> float:
+def _noise_px(picture: BodyPicture, noise_dn: float, bright_dn: float) -> float:
     """Return what noise moves a crossing by, of a limb so bright: at half of it, over the slope of a blurred edge."""
     half = 0.5 * max(bright_dn, 0.0)
-    noise = np.sqrt(float(np.median(picture.noise_dn)) ** 2 + half / picture.shot_gain_e_per_dn)
-    width = np.sqrt(float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE)
-    return float(np.sqrt(TURN) * width * noise / max(bright_dn, noise))
+    noise = np.sqrt(noise_dn**2 + half / picture.shot_gain_e_per_dn)
+    return float(np.sqrt(TURN * _edge_variance(picture)) * noise / max(bright_dn, noise))
+
+
+def _edge_variance(picture: BodyPicture) -> float:
+    """Return the variance, px^2, that PSF, pixels and interpolation spread an edge by."""
+    return float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE
 
 
 def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Profiles:
@@ -186,8 +191,7 @@ def radiance_profiles(picture: BodyPicture, name: str, size_ratio: float) -> Pro
         rays = fan.at(line.ravel(), share.ravel() / most)
         bodies = [PlacedBody(replace(seen, law=law), picture.camera.pixel_scale_rad) for law in laws]
         light = np.stack([body.radiance(rays).reshape(share.shape) for body in bodies])
-        variance = float(np.max(picture.psf.sigma_px)) ** 2 + PIXEL_VARIANCE_PX2 + INTERPOLATED_VARIANCE
-        sigma = float(np.sqrt(variance)) / RAY_STEP_PX
+        sigma = float(np.sqrt(_edge_variance(picture))) / RAY_STEP_PX
         return np.asarray(gaussian_filter1d(light, sigma, axis=2, mode="nearest"))
 
     return profiles
@@ -286,7 +290,7 @@ def fit_crossings(
     offset = crossings.depth_px[crossings.known]
     uncertain = np.ones(crossings.changes.shape[1])
     precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
-    scales = scale_precisions(len(precision), ([2], figure.size_scales), ([3, 4], figure.axes_scales))
+    scales, widest = _figure_scales(figure, len(precision))
     expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
     beyond = offset - columns @ expected
     residual = np.full(len(crossings.angle_rad), np.nan)
@@ -301,10 +305,6 @@ def fit_crossings(
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    # A limb that is not the model's must not be lost, whatever was stated of it.
-    unstated = FigureUncertainty()
-    bounds = max(figure.size_sigma, unstated.size_sigma), max(figure.axes_sigma, unstated.axes_sigma)
-    widest = scale_precisions(len(precision), ([2], [bounds[0]]), ([3, 4], [bounds[1]]))
     solution, near = expected, near_px
     for _ in range(NARROWINGS):
         solution = solved(solution, near, near**2, widest)
@@ -323,16 +323,21 @@ def fit_crossings(
     )
     size_sigma = float(np.sqrt(alone[2, 2]))
     beyond_px2 = max(alike * spread**2 - HALF_PX**2 - crossings.noise_px**2, 0.0)
-    return CrossingFit(
-        solution[:2],
-        float(solution[2]),
-        solution[3:5],
-        mixed[:5, :5],
-        residual,
-        float(np.sqrt(beyond_px2)),
-        mixed[:2, :2] * (common * beyond_px2 / variance),
-        free,
-        size_sigma,
+    relief = float(np.sqrt(beyond_px2)), mixed[:2, :2] * (common * beyond_px2 / variance)
+    own = solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5]
+    return CrossingFit(*own, residual, *relief, free, size_sigma)
+
+
+def _figure_scales(figure: FigureUncertainty, unknowns: int) -> tuple[FloatArray, FloatArray]:
+    """Return the precisions of size and axes by their scales, and by the widest that they may have.
+
+    A limb that is not the model's must not be lost, whatever was stated of it.
+    """
+    unstated = FigureUncertainty()
+    bounds = max(figure.size_sigma, unstated.size_sigma), max(figure.axes_sigma, unstated.axes_sigma)
+    return (
+        scale_precisions(unknowns, ([2], figure.size_scales), ([3, 4], figure.axes_scales)),
+        scale_precisions(unknowns, ([2], [bounds[0]]), ([3, 4], [bounds[1]])),
     )
 
 

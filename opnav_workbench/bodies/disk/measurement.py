@@ -304,10 +304,10 @@ UNSURE = (
     "strain_yz",
 )  # of the light: near a cusp it moves a crossing
 BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
-MOSTLY_CROSSED, FAR_SHARE = (
-    0.7,
-    0.1,
-)  # of the rays that should cross the limb; of the radius, where they do not
+MOSTLY_CROSSED = (
+    0.7  # of the rays that should cross the limb; where fewer do, it is not where it is expected,
+)
+FAR_SHARE = 0.1  # and looked for so much of the radius farther
 LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
@@ -334,9 +334,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
     crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
     if np.count_nonzero(crossings.known) < MOSTLY_CROSSED * np.count_nonzero(crossings.expected):
-        reach += (
-            FAR_SHARE * 0.5 * fit.smooth_outline.diameter_px
-        )  # most of the limb is not where it is expected
+        reach += FAR_SHARE * 0.5 * fit.smooth_outline.diameter_px
         crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
         return None

@@ -63,11 +63,6 @@ class ScanMatch:
         freeze_arrays(self)
 
     @property
-    def sigma_px(self) -> FloatArray:
-        """Of each offset (n,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
     def edge_sigma_px(self) -> FloatArray:
         """Of each offset (n,), without the relief: how well the edge is seen, wherever the limb has it."""
         own = np.diag(self.covariance) - self.relief_px**2
