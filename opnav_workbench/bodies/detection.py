@@ -137,13 +137,13 @@ def _saturated_share(picture: BodyPicture, name: str, place: BodyPlace) -> float
     """Return the share of a body's bright part that is saturated."""
     radius = outline_radius_px(picture, name) * place.size_ratio
     part = choose_subarray(picture, name, Circle(place.center_px, radius))
-    if part.empty or not picture.saturated[part.slices].any():
+    if part.empty or not picture.overexposed[part.slices].any():
         return 0.0
     light = model_picture(
         picture, part.window, {name: place.center_px}, range_scale=1.0 / place.size_ratio, only=(name,)
     )
     bright = light > BRIGHT_SHARE * light.max()
-    return float(picture.saturated[part.slices][bright].mean()) if bright.any() else 0.0
+    return float(picture.overexposed[part.slices][bright].mean()) if bright.any() else 0.0
 
 
 # ---- Several bodies in one picture.

@@ -297,7 +297,7 @@ def lost_pixels(
     index
         Of the picture's planes: the pixels that the arrays are of.
     """
-    saturated, hit = lit & picture.saturated[index], lit & hits
+    saturated, hit = lit & picture.overexposed[index], lit & hits
     unsound = picture.bad[index] | ~np.isfinite(picture.signal_dn[index])
     bad = lit & ~use & unsound & ~saturated
     others = lit & ~use & ~(saturated | hit | bad)

@@ -107,6 +107,8 @@ class BodyPicture:
         Noise of each pixel without the bodies' own shot noise, which `noise_model` adds.
     bad, saturated : (n_line, n_pixel) arrays of bool
         Pixels to leave out.
+    spilled : (n_line, n_pixel) array of bool
+        Bad ones that charge of overexposed pixels hides; None: none.
     camera_from_j2000 : (3, 3) array
         The attitude, solved or a priori.
     observer_velocity_km_s : (3,) array
@@ -146,6 +148,7 @@ class BodyPicture:
     excess_sigma_px: float = 0.0
     psf_width_sigma: float = MEASURED_PSF_SIGMA
     found: frozenset[str] = frozenset()
+    spilled: BoolArray | None = None
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal_dn, dtype=np.float64)
@@ -214,6 +217,17 @@ class BodyPicture:
     def without(self, pixels: BoolArray) -> "BodyPicture":
         """Return the picture with pixels (n_line, n_pixel) that show nothing of what is looked for, saturated or not."""
         return replace(self, bad=self.bad | pixels, saturated=self.saturated & ~pixels)
+
+    def without_spilled(self, pixels: BoolArray) -> "BodyPicture":
+        """Return the picture without pixels (n_line, n_pixel) that charge has run into, or may have."""
+        return replace(
+            self.without(pixels), spilled=pixels if self.spilled is None else self.spilled | pixels
+        )
+
+    @property
+    def overexposed(self) -> BoolArray:
+        """Pixels (n_line, n_pixel) that are saturated, or that charge of such ones hides."""
+        return self.saturated if self.spilled is None else self.saturated | self.spilled
 
     def prediction(self, name: str) -> BodyPrediction:
         """Return where and how large a body is expected."""

@@ -85,7 +85,6 @@ LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipp
 # less; the smallest are alike: of 400 bodies of 1 to 2000 px all explained 0.99 of it or more.
 RIVAL_SHARE = 0.97
 MOST_POINTS = 4  # that may lie on a body
-SPILLED_FROM = 1.3  # diameters: a longer saturated run has spilled, as no body is so much larger
 POINTLIKE_PX, POINTLIKE_LIT_PX = 3.0, 1.5  # a smaller body, or crescent, may be any star
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
 
@@ -109,7 +108,7 @@ def find_place(
     near = search_radius(predicted * ratio, None)
     if limit is None and is_pointlike(picture, name):
         limit = near
-    as_it_is, picture = picture, without_spilled(picture, SPILLED_FROM * 2.0 * predicted * ratio)
+    picture = without_spilled(picture, 2.0 * predicted * ratio)
     if 2.0 * predicted * ratio < BLURRED_PX:
         return _blurred_place(picture, name, ratio, expected, limit)
     close = None
@@ -126,7 +125,7 @@ def find_place(
         found = _place_of_light(alone, name, ratio, expected, reach)
         if found is None or not _stands_out(alone, name, found, expected, near):
             return None
-    return _on_limb(as_it_is, name, found)
+    return _on_limb(picture, name, found)
 
 
 def is_pointlike(picture: BodyPicture, name: str) -> bool:

@@ -7,6 +7,7 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk, find_ellipse, find_limb_scan, measure_disk
+from opnav_workbench.bodies.disk.fit import fit_disk
 
 PLACE = (510.3, 498.7)
 # Relief of 3 % of the radius, as of Bennu or Itokawa, where 0.3 % is expected.
@@ -90,3 +91,19 @@ def test_sigmas_of_rough_bodies_are_honest():
                 off.append(sigmas_off(find_disk(trial.picture, trial.name), trial))
     assert np.sqrt(0.5 * np.mean(np.square(off))) < 1.6
     assert max(off) < 5.0
+
+
+def test_a_rough_limb_is_asked_once_more_and_not_again(monkeypatch):
+    """Whatever it shows the second time: of a body of a few pixels that may be more than any roughness that is believed."""
+    monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.ROUGHER", 0.0)
+    fits = []
+
+    def counted(*given, **named):
+        fits.append(given)
+        return fit_disk(*given, **named)
+
+    monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.fit_disk", counted)
+    trial = make_trial(replace(ROUGH["30 px"], topography=0.06))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None, quick=False)
+    assert disk.is_rough
+    assert len(fits) < 20

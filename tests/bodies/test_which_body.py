@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies import displaced_model, find_disk, find_jointly, standing_at
+from opnav_workbench.bodies import BodyFlag, displaced_model, find_disk, find_jointly, standing_at
 
 PLANET, MOON = np.array([420.0, 560.0]), np.array([560.0, 430.0])
 
@@ -157,3 +157,37 @@ def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     assert center.status in ("ok", "uncertain"), center.messages
     assert chi2(center, truth) < 14.0
     assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
+
+
+@pytest.mark.parametrize("marked", [True, False], ids=["saturated", "saturated and bad"])
+@pytest.mark.parametrize("width_px", [16.0, 80.0])
+def test_columns_that_charge_fills_are_no_body(body_stage, width_px, marked):
+    """Exposed so long that charge fills most of its columns from edge to edge, a body lies in them, not where they end."""
+    model = body_stage.body(width_px, 15.0, PLANET)
+    data = spilled(9e6 / width_px * body_stage.light(model), 4000.0)
+    data += np.random.default_rng(4).normal(0.0, 3.0, data.shape)
+    saturated = data > 3950.0
+    filled = saturated.all(axis=0)
+    assert np.count_nonzero(filled) > 0.5 * width_px
+    picture = body_stage.picture(
+        None, [model], offset_px=(3.0, -2.0), data=data, saturated=saturated, bad=saturated & ~marked & filled
+    )
+    center = find_disk(picture, "BODY")
+    assert center.status in ("ok", "uncertain", "saturated")
+    assert "take a shorter exposure" in "; ".join(center.messages)
+    assert center.flags & BodyFlag.OVEREXPOSED
+    if center.pixel_line is not None:
+        assert np.hypot(*(center.pixel_line - PLANET)) < 0.5 * width_px
+    if center.status == "ok":
+        assert chi2(center, PLANET) < 14.0
+
+
+def test_a_body_beside_a_column_that_a_star_fills_keeps_its_center(body_stage):
+    model = body_stage.body(60.0, 40.0, PLANET)
+    data = 1500.0 * body_stage.light(model)
+    data[:, 395:398] = 4000.0
+    data += np.random.default_rng(4).normal(0.0, 3.0, data.shape)
+    picture = body_stage.picture(None, [model], offset_px=(3.0, -2.0), data=data, saturated=data > 3950.0)
+    center = find_disk(picture, "BODY")
+    assert center.status == "ok", center.messages
+    assert chi2(center, PLANET) < 14.0

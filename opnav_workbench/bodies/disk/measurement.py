@@ -35,6 +35,7 @@ from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
+from opnav_workbench.bodies.spilled import without_filled, without_spilled
 from opnav_workbench.bodies.subarray import choose_subarray, find_hit_pixels, outline_radius_px, search_radius
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
@@ -164,6 +165,24 @@ def disk_at(
     A limb that is rougher than anybody has stated is asked once more: what lay too far off an outline to be believed is
     its relief.
     """
+    disk = _as_modelled(picture, place, name, method, circle, search_px, quick=quick)
+    if quick or isinstance(disk, BodyCenter) or not disk.is_rough:
+        return disk
+    return _as_rough_as_it_shows(disk, method)
+
+
+def _as_modelled(
+    picture: BodyPicture,
+    place: BodyPlace,
+    name: str,
+    method: str,
+    circle: Circle | None,
+    search_px: float | None,
+    *,
+    quick: bool = False,
+) -> MeasuredDisk | BodyCenter:
+    """Fit a disk whose limb is as rough as its model has it; parameters as of `disk_at`."""
+    picture = without_spilled(picture, picture.diameter_px(name) * place.size_ratio)
     try:
         pixels = _usable(picture, name, place)
         fit = fit_disk(picture, name, place, pixels)
@@ -180,8 +199,7 @@ def disk_at(
             fit = _over_sizes(picture, name, place, pixels, fit)
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
-    disk = MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
-    return disk if quick or not disk.is_rough else _as_rough_as_it_shows(disk, method)
+    return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
 
 
 def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
@@ -193,7 +211,7 @@ def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
     place = placed_body(rough, name, method, circle, search_px)
     if isinstance(place, BodyCenter):
         return disk
-    other = disk_at(rough, place, name, method, circle, search_px)
+    other = _as_modelled(rough, place, name, method, circle, search_px)
     if isinstance(other, BodyCenter):
         return disk
     away = WANDERED_SHARE * (other.fit.center_px - disk.fit.center_px)
@@ -224,12 +242,36 @@ def placed_body(
     ):  # beside the detector, where a body may end, there are none to be unusable
         nowhere = "no usable pixels where it is expected"
         return BodyCenter.without_center(name, method, "failed", nowhere, flags=int(BodyFlag.EMPTY))
+    if (hidden := _hidden_by_charge(picture, name, circle, search_px)) is not None:
+        return BodyCenter.without_center(name, method, "saturated", hidden, flags=int(BodyFlag.OVEREXPOSED))
     nothing = "nothing of its size and phase stands out of the sky"
     if circle is not None or search_px is not None:
         nothing += f" within {search_radius(0.0, circle, search_px):.0f} px of its expected place"
     if circle is None and search_px is None and is_pointlike(picture, name):
         nothing += " near its expected place; farther off it may be any star, give a circle"
     return BodyCenter.without_center(name, method, "not_detected", nothing)
+
+
+HIDDEN_SHARE = (
+    0.25  # of a body's diameter: so wide is what charge fills, where the body itself was overexposed
+)
+
+
+def _hidden_by_charge(
+    picture: BodyPicture, name: str, circle: Circle | None, search_px: float | None
+) -> str | None:
+    """Say that charge of overexposed pixels fills the place where a body is expected; None: it does not."""
+    radius = outline_radius_px(picture, name)
+    window = choose_subarray(picture, name, circle, search_radius(radius, circle, search_px)).slices
+    spilled = without_spilled(picture, 2.0 * (radius if circle is None else circle.radius_px)).spilled
+    if spilled is None:
+        return None
+    spilled = spilled[window]
+    columns, lines = (int(np.count_nonzero(spilled.any(axis=axis))) for axis in (0, 1))
+    wide, what = min((columns, "columns"), (lines, "lines"))
+    if wide <= HIDDEN_SHARE * 2.0 * radius:
+        return None
+    return f"charge of overexposed pixels fills {wide} {what} where it is expected; take a shorter exposure"
 
 
 def _unsuitable(picture: BodyPicture, name: str) -> str | None:
@@ -516,7 +558,10 @@ CROWD_SIGMAS, CROWDED, FEWEST_CLIPPED = 0.3, 3.0, 20
 
 
 def with_true_sky(picture: BodyPicture) -> BodyPicture:
-    """Return the picture with its sky at zero, and pixels that a converter has clipped named as saturated."""
+    """Return the picture with its sky at zero, and pixels that a converter has clipped named as saturated.
+
+    Columns that charge fills from edge to edge show nothing.
+    """
     usable = np.isfinite(picture.signal_dn) & ~picture.bad
     if not usable.any():
         return picture
@@ -526,7 +571,8 @@ def with_true_sky(picture: BodyPicture) -> BodyPicture:
     if dark < -SUNK_SIGMAS * middle:
         signal, noise, middle = signal - dark, np.full_like(noise, spread), spread
     clipped = _clipped(signal, middle, picture.shot_gain_e_per_dn, usable & ~picture.saturated)
-    return replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
+    clean = replace(picture, signal_dn=signal, noise_dn=noise, saturated=picture.saturated | clipped)
+    return without_filled(clean)
 
 
 def _clipped(signal: FloatArray, noise_dn: float, gain: float, usable: BoolArray) -> BoolArray:
