@@ -21,14 +21,14 @@ from opnav_workbench.bodies.disk.measurement import (
     sigmas_apart,
     with_true_sky,
 )
-from opnav_workbench.bodies.neighbours import edge_reach, likely_place, near_bodies
+from opnav_workbench.bodies.neighbours import likely_place, near_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, model_picture, standing_at
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.residuals import surface_excess
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.scene_fit import SceneFit, SceneState
 from opnav_workbench.bodies.strained import strained_picture
-from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, outline_radius_px
+from opnav_workbench.bodies.subarray import Cutout, choose_subarray, cut_out, edge_reach, outline_radius_px
 
 __all__ = [
     "DetectedScene",

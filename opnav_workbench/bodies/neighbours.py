@@ -8,17 +8,12 @@ from scipy.ndimage import binary_dilation
 
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies.picture import BodyPicture, model_picture
-from opnav_workbench.bodies.subarray import PSF_REACH, RIM_PX, Cutout, cut_out
+from opnav_workbench.bodies.subarray import Cutout, cut_out, edge_reach
 
-__all__ = ["edge_reach", "likely_place", "near_bodies", "without_bodies", "without_others"]
+__all__ = ["likely_place", "near_bodies", "without_bodies", "without_others"]
 
 OTHERS_SHARE = 1.0  # light of other bodies, in units of the noise, from which on a pixel does not count
 OTHERS_ERROR_PX = 3  # of their places
-
-
-def edge_reach(picture: BodyPicture) -> float:
-    """Return how far to each side of an edge the picture shows it, px."""
-    return PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
 
 
 def likely_place(picture: BodyPicture, name: str, shift_px: FloatArray) -> FloatArray:

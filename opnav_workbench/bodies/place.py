@@ -19,13 +19,13 @@ from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.crossings import cross_limb, fit_crossings, radiance_profiles
-from opnav_workbench.bodies.neighbours import edge_reach, near_bodies, without_bodies
+from opnav_workbench.bodies.neighbours import near_bodies, without_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
 from opnav_workbench.bodies.place_search import brightest_point, search_place
 from opnav_workbench.bodies.silhouette import Silhouette
 from opnav_workbench.bodies.spilled import without_spilled
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
-from opnav_workbench.bodies.subarray import search_radius
+from opnav_workbench.bodies.subarray import edge_reach, search_radius
 from opnav_workbench.render.body import PlacedBody
 
 __all__ = ["BodyPlace", "find_place", "is_pointlike"]

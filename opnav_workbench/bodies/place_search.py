@@ -15,7 +15,7 @@ from scipy import fft
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, model_picture
-from opnav_workbench.bodies.subarray import PSF_REACH, RIM_PX, Cutout, cut_out
+from opnav_workbench.bodies.subarray import Cutout, cut_out, edge_reach
 from opnav_workbench.stars.peaks import refine_peaks
 
 __all__ = ["CorrelationPeak", "brightest_point", "search_place"]
@@ -74,7 +74,7 @@ def search_place(
         Range over the a priori one.
     """
     nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
-    reach = radius_px + PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
+    reach = radius_px + edge_reach(picture)
     window = _clipped(picture, center_px, search_px + reach)
     if min(window[2:]) < 3:
         return nowhere

@@ -21,15 +21,16 @@ PARTLY_FILLED_PX = 2  # where a run ends: bright, if not saturated
 def without_filled(picture: BodyPicture) -> BodyPicture:
     """Return the picture with columns and lines that charge fills from edge to edge not known: a body may lie in them.
 
-    A body that is larger than the picture fills it too, but then as wide as long.
+    A body that is larger than the picture fills it too.
     """
     if not picture.saturated.any():
         return picture
+    widest_px = max((picture.diameter_px(model.target.name) for model in picture.models), default=0.0)
     filled = np.zeros(picture.saturated.shape, dtype=bool)
     for plane, saturated in ((filled, picture.saturated), (filled.T, picture.saturated.T)):
         _, first, past = pixel_runs(np.asarray(saturated.all(axis=0))[None])
         for start, stop in zip(first, past, strict=True):
-            if len(plane) > LONGER * (stop - start):
+            if len(plane) > LONGER * max(stop - start, widest_px):
                 plane[:, start:stop] = True
     return picture.without_spilled(filled) if filled.any() else picture
 

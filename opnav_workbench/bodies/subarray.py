@@ -18,6 +18,7 @@ __all__ = [
     "SubArray",
     "choose_subarray",
     "cut_out",
+    "edge_reach",
     "find_hit_pixels",
     "left_search",
     "outline_radius_px",
@@ -94,6 +95,11 @@ def outline_radius_px(picture: BodyPicture, name: str) -> float:
     return float(np.hypot(*limb.T).max()) if len(limb) and np.isfinite(limb).all() else 0.0
 
 
+def edge_reach(picture: BodyPicture) -> float:
+    """Return how far to each side of an edge the picture shows it, px."""
+    return PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
+
+
 def choose_subarray(
     picture: BodyPicture, name: str, circle: Circle | None = None, margin: float | None = None
 ) -> SubArray:
@@ -113,7 +119,7 @@ def choose_subarray(
     if not np.isfinite(center).all():
         return SubArray((0, 0, 0, 0), center, radius)
     if margin is None:
-        margin = PSF_REACH * float(np.max(picture.psf.sigma_px)) + RIM_PX
+        margin = edge_reach(picture)
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     first = np.clip(np.floor(center - radius - margin), 0, size).astype(int)
     last = np.clip(np.ceil(center + radius + margin), -1, size - 1).astype(int)

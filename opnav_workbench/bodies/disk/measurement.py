@@ -252,9 +252,7 @@ def placed_body(
     return BodyCenter.without_center(name, method, "not_detected", nothing)
 
 
-HIDDEN_SHARE = (
-    0.25  # of a body's diameter: so wide is what charge fills, where the body itself was overexposed
-)
+HIDDEN_SHARE = 0.25  # of a body's diameter: what an overexposed one fills is wider
 
 
 def _hidden_by_charge(
