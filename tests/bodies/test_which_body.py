@@ -22,14 +22,13 @@ def spilled(light, full_well):
         charge = kept[:, column]
         over = np.maximum(charge - full_well, 0.0)
         charge -= over
-        for line in np.flatnonzero(over):
-            for step in (-1, 1):
-                rest, at = 0.5 * over[line], line
-                while rest > 0.0 and 0 <= at + step < len(charge):
-                    at += step
-                    taken = min(rest, max(full_well - charge[at], 0.0))
-                    charge[at] += taken
-                    rest -= taken
+        for lines in (range(len(charge)), reversed(range(len(charge)))):
+            running = 0.0
+            for line in lines:
+                running += 0.5 * over[line]
+                taken = min(running, full_well - charge[line])
+                charge[line] += taken
+                running -= taken
     return kept
 
 
@@ -159,6 +158,7 @@ def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
 
 
+@pytest.mark.slow(keep=["80.0-saturated"])
 @pytest.mark.parametrize("marked", [True, False], ids=["saturated", "saturated and bad"])
 @pytest.mark.parametrize("width_px", [16.0, 80.0])
 def test_columns_that_charge_fills_are_no_body(body_stage, width_px, marked):
