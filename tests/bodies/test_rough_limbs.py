@@ -30,6 +30,7 @@ def sigmas_off(center, trial):
     return float(np.sqrt(away @ np.linalg.solve(center.covariance_px2, away)))
 
 
+@pytest.mark.slow(keep=["30 px"])
 @pytest.mark.parametrize("case", ROUGH)
 def test_a_center_of_a_rough_body_is_as_uncertain_as_it_is_wrong(case):
     trial = make_trial(ROUGH[case])
