@@ -218,11 +218,10 @@ class BodyPicture:
         """Return the picture with pixels (n_line, n_pixel) that show nothing of what is looked for, saturated or not."""
         return replace(self, bad=self.bad | pixels, saturated=self.saturated & ~pixels)
 
-    def without_spilled(self, pixels: BoolArray) -> "BodyPicture":
-        """Return the picture without pixels (n_line, n_pixel) that charge has run into, or may have."""
-        return replace(
-            self.without(pixels), spilled=pixels if self.spilled is None else self.spilled | pixels
-        )
+    def with_spilled(self, pixels: BoolArray) -> "BodyPicture":
+        """Return the picture without what pixels (n_line, n_pixel) show that charge has run into, or may have."""
+        spilled = pixels if self.spilled is None else self.spilled | pixels
+        return replace(self.without(pixels), spilled=spilled)
 
     @property
     def overexposed(self) -> BoolArray:

@@ -32,7 +32,7 @@ def without_filled(picture: BodyPicture) -> BodyPicture:
         for start, stop in zip(first, past, strict=True):
             if len(plane) > LONGER * max(stop - start, widest_px):
                 plane[:, start:stop] = True
-    return picture.without_spilled(filled) if filled.any() else picture
+    return picture.with_spilled(filled) if filled.any() else picture
 
 
 def without_spilled(picture: BodyPicture, diameter_px: float) -> BodyPicture:
@@ -49,7 +49,7 @@ def without_spilled(picture: BodyPicture, diameter_px: float) -> BodyPicture:
     if not spilled.any():
         return picture
     kept = picture.saturated & ~spilled
-    return picture.without_spilled(binary_dilation(spilled, iterations=PARTLY_FILLED_PX) & ~kept)
+    return picture.with_spilled(binary_dilation(spilled, iterations=PARTLY_FILLED_PX) & ~kept)
 
 
 def _ends(

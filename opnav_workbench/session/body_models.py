@@ -309,8 +309,7 @@ def above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
     dark, noise = darkest_sky(image, bad, usual)
     if low - dark < SUNK_SIGMAS * noise and high - low < SWALLOWED_SIGMAS * noise:
         return context.signal_dn, context.noise_dn
-    shown = ~bad | (context.picture.saturated & np.isfinite(image))
-    return np.where(shown, image - dark, 0.0), np.full_like(context.noise_dn, noise)
+    return np.where(bad, 0.0, image - dark), np.full_like(context.noise_dn, noise)
 
 
 def _sunlight(context: Context) -> float | None:

@@ -163,10 +163,7 @@ def open_context(path: str | Path, mission: Mission, settings: Settings) -> Cont
     detector = camera.read_noise_dn, camera.gain_e_per_dn
     bias = contained_bias_dn(background, *detector, camera.bias_dn)
     noise = pixel_noise(background, *detector, bias_dn=bias)
-    nothing = (
-        picture.bad & ~saturated
-    )  # a saturated pixel is brighter than anything, whatever else is told of it
-    signal = np.where(nothing, 0.0, picture.image_dn - background.level_dn)
+    signal = np.where(picture.bad, 0.0, picture.image_dn - background.level_dn)
     return Context(picture, camera, mission, background, signal, noise, picture.bad, extended, settings, told)
 
 

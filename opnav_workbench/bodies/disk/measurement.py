@@ -165,58 +165,50 @@ def disk_at(
     A limb that is rougher than anybody has stated is asked once more: what lay too far off an outline to be believed is
     its relief.
     """
-    disk = _as_modelled(picture, place, name, method, circle, search_px, quick=quick)
-    if quick or isinstance(disk, BodyCenter) or not disk.is_rough:
-        return disk
-    return _as_rough_as_it_shows(disk, method)
-
-
-def _as_modelled(
-    picture: BodyPicture,
-    place: BodyPlace,
-    name: str,
-    method: str,
-    circle: Circle | None,
-    search_px: float | None,
-    *,
-    quick: bool = False,
-) -> MeasuredDisk | BodyCenter:
-    """Fit a disk whose limb is as rough as its model has it; parameters as of `disk_at`."""
-    picture = without_spilled(picture, picture.diameter_px(name) * place.size_ratio)
+    seen = without_spilled(picture, picture.diameter_px(name) * place.size_ratio)
     try:
-        pixels = _usable(picture, name, place)
-        fit = fit_disk(picture, name, place, pixels)
-        hits = _hits(fit, pixels)
-        if hits.any():
-            pixels = replace(pixels, use=pixels.use & ~hits)
-            fit = fit_disk(picture, name, place, pixels, fit)
-        crossing = read_crossings(picture, fit)
-        if not quick:
-            if crossing is not None and not (fit.converged and alike(fit, crossing)):
-                fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
-            if fit.extrapolated:
-                fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-            fit = _over_sizes(picture, name, place, pixels, fit)
+        disk = MeasuredDisk(seen, name, circle, search_px, place, *_fitted(seen, name, place, quick=quick))
     except CenterfindingError as error:
         return BodyCenter.without_center(name, method, "failed", str(error))
-    return MeasuredDisk(picture, name, circle, search_px, place, fit, pixels, hits, crossing)
+    return disk if quick or not disk.is_rough else _as_rough_as_it_shows(disk, method)
+
+
+def _fitted(
+    picture: BodyPicture, name: str, place: BodyPlace, *, quick: bool
+) -> tuple[DiskFit, DiskPixels, BoolArray, CrossingFit | None]:
+    """Fit a disk whose limb is as rough as its model has it; the last fields of a `MeasuredDisk`."""
+    pixels = _usable(picture, name, place)
+    fit = fit_disk(picture, name, place, pixels)
+    hits = _hits(fit, pixels)
+    if hits.any():
+        pixels = replace(pixels, use=pixels.use & ~hits)
+        fit = fit_disk(picture, name, place, pixels, fit)
+    crossing = read_crossings(picture, fit)
+    if not quick:
+        if crossing is not None and not (fit.converged and alike(fit, crossing)):
+            fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
+        if fit.extrapolated:
+            fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
+        fit = _over_sizes(picture, name, place, pixels, fit)
+    return fit, pixels, hits, crossing
 
 
 def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
     """Return the disk found and fitted anew, half of the difference in its covariance; as it is where that cannot be."""
-    picture, name, circle, search_px = disk.picture, disk.name, disk.circle, disk.search_px
+    picture, name = disk.picture, disk.name
     model = picture.model(name)
     figure = replace(model.figure, limb_roughness=min(disk.relief_share, ROUGHEST))
     rough = picture.with_model(replace(model, figure=figure))
-    place = placed_body(rough, name, method, circle, search_px)
+    place = placed_body(rough, name, method, disk.circle, disk.search_px)
     if isinstance(place, BodyCenter):
         return disk
-    other = _as_modelled(rough, place, name, method, circle, search_px)
-    if isinstance(other, BodyCenter):
+    try:
+        fit, pixels, hits, crossing = _fitted(rough, name, place, quick=False)
+    except CenterfindingError:
         return disk
-    away = WANDERED_SHARE * (other.fit.center_px - disk.fit.center_px)
-    fit = replace(other.fit, unrest_px2=other.fit.unrest_px2 + np.outer(away, away))
-    return replace(other, picture=picture, fit=fit)
+    away = WANDERED_SHARE * (fit.center_px - disk.fit.center_px)
+    fit = replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away))
+    return replace(disk, place=place, fit=fit, pixels=pixels, hits=hits, crossing=crossing)
 
 
 def placed_body(
@@ -344,10 +336,9 @@ UNSURE = (
     "strain_yz",
 )  # of the light: near a cusp it moves a crossing
 BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
-MOSTLY_CROSSED = (
-    0.7  # of the rays that should cross the limb; where fewer do, it is not where it is expected,
-)
-FAR_SHARE = 0.1  # and looked for so much of the radius farther
+# Of the rays that should cross the limb; where fewer do, it is not where it is expected, and looked for so much of the
+# radius farther.
+MOSTLY_CROSSED, FAR_SHARE = 0.7, 0.1
 LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
