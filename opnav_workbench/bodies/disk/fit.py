@@ -34,7 +34,7 @@ from opnav_workbench.bodies.disk.limb_cells import (
     limb_places,
 )
 from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
-from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_share, psf_variance
+from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_law, psf_variance
 from opnav_workbench.bodies.disk.limb_scatter import limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
@@ -105,6 +105,9 @@ MOST_DOUBTS, SAME_DOUBT = 4, 0.5
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
 LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
+# The most albedo that another law may look like; whole share and power that mixtures and Minnaert's laws begin with.
+FAINT_ALBEDO = 0.05
+MIXED_LAW, MINNAERT_LAW = np.array([0.5, 0.0]), np.array([0.0, -0.35])
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -418,8 +421,8 @@ class _DiskProblem:
         self.figure: FigureUncertainty = model.seen_figure
         self.most_lean = LEAN_SIGMAS * self.figure.axes_sigma * SHADING_SHARE
         self.law_prior = _law_prior(model)
-        own = own_share(model.law, float(picture.phase_rad(name)))
-        self.law_bounds = LAW_BOUNDS - [own, 0.0]
+        self.own_law = own_law(model.law, float(picture.phase_rad(name)))
+        self.law_bounds = LAW_BOUNDS - self.own_law
         self.psf_variance_px2 = psf_variance(picture.psf)
         # Pixels show nothing narrower than they are
         self.psf_px = max(float(np.max(picture.psf.sigma_px)), float(np.sqrt(PIXEL_VARIANCE_PX2)))
@@ -558,7 +561,26 @@ def fit_disk(
     shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
     rested = start if start is not None and start.converged else None
     fitter = _Fitter(problem, shape, rested, follows_light=follows_light)
+    fitter.settle()
+    if rested is None and fitter.is_nearly_even:
+        fitter = _with_other_law(fitter)
     return fitter.run(MOST_FINE if held_log_size is None else 0)
+
+
+def _with_other_law(fitter: "_Fitter") -> "_Fitter":
+    """Return the likelier of a fit with coarse light and of another that begins with a law of the other kind.
+
+    No step leads from mixtures to Minnaert's laws: between them the light at the limb is that of neither, and a faint albedo
+    makes up for what either lacks.
+    """
+    problem, shape = fitter.problem, fitter.shape
+    power = float(problem.own_law[1] + shape.law[1])
+    law = MINNAERT_LAW if power > 0.5 * MINNAERT_LAW[1] else MIXED_LAW
+    other = _Fitter(problem, replace(shape, law=law - problem.own_law), None)
+    if not other.is_likelier(fitter):
+        return fitter
+    other.settle()
+    return max(fitter, other, key=lambda each: each.linear.solution.log_likelihood)
 
 
 def _is_uneven(prior: FieldPrior) -> bool:
@@ -645,27 +667,42 @@ class _Fitter:
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
-    def run(self, most_fine: int) -> DiskFit:
-        """Fit; the fine light is tabulated so many times at the most."""
+    @property
+    def is_nearly_even(self) -> bool:
+        """Whether the albedo may be that of a surface by another law, rather than of one with patches."""
+        return self.prior.albedo < FAINT_ALBEDO
+
+    def is_likelier(self, settled: "_Fitter") -> bool:
+        """Tell whether the light that this fit begins with explains more than that of another one, with its prior."""
+        self.prior = settled.prior
+        self._solve()
+        self._reweigh()
+        return self.linear.solution.log_likelihood > settled.linear.solution.log_likelihood
+
+    def settle(self) -> None:
+        """Fit with coarse light."""
         self._solve()
         self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
         for _ in range(self.tunings):
             self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
-        tabled = self._state()
+
+    def run(self, most_fine: int) -> DiskFit:
+        """Go on with fine light, which is tabulated so many times at the most."""
+        tabled, anew = self._state(), True
         for turn in range(most_fine):
-            light = self.made.light
+            light, then = self.made.light, self.made.shape
             if not light.fine or self._stale(LAST):
                 if not self._tabulate(fine=True) and light.fine:
                     # Light that tables are extrapolated to led away from every one of them.
                     self._wander_back(tabled)
                     self._solve()
                     break  # no other light explains more
-                tabled = self._state()
+                tabled, anew = self._state(), not light.fine or self._differ(LAST, self.made.shape, then)
             if turn < MOST_TUNED:
                 self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
-            if not self._stale(LAST):
+            if not (anew and self._stale(LAST)):
                 break
         return self._result()
 

@@ -30,10 +30,10 @@ from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes, strain_matrix
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.psf import Psf
-from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, ScatteringLaw
+from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, Minnaert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_share", "psf_variance"]
+__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_law", "psf_variance"]
 
 PLANES = (
     "light", "blur", "wings", "halo",
@@ -56,7 +56,7 @@ RIM_NODES = 3  # depths in a cell whose mean light it has
 # Between depths that light is asked for, in roots of steps, in which it is smooth: of plates and maps, and of others.
 ROOT_STEP = (0.05, 0.15)
 KEPT_SHARE = 1e-5  # of the PSF's peak: what lies farther out is cut off
-DARKEST = 0.02  # of mu0 and mu: factors of the law are bounded there
+DARKEST = 0.002  # of mu0 and mu: factors of the law are bounded there, where a limb is narrower than any step
 OTHER_SHARE = 0.5  # of Lommel-Seeliger in a law of another kind
 GRAZING = 0.1  # least cosine to the line of sight, for the point that a ray meets under a strain
 COSINE_STEP = 1e-3
@@ -64,7 +64,7 @@ COSINE_STEP = 1e-3
 # cells as a cubic spline. The tables are made sharper by as much.
 CELL_VARIANCE, LINEAR_VARIANCE, SPLINE_VARIANCE = 1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0
 RELIEF = 0.2  # sine of the slopes that terrain has
-MOST_SHARPENED = 1.5  # logarithm, of a spectrum
+MOST_SHARPENED = 4.0  # logarithm, of a spectrum
 WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
 
 
@@ -208,7 +208,7 @@ def limb_light(
     node_rad : (k,) array
         Arcs from the limb at which the albedo has nodes, from 0 upward.
     law : (2,) array
-        Lommel-Seeliger's share beyond the body's own, `own_share`, and the power of mu0 mu.
+        Lommel-Seeliger's share and the power of mu0 mu, beyond those of the body's own law, `own_law`.
     strain : (5,) array
         That the body in the picture has already, shares of `opnav_workbench.bodies.strained.STRAINS`.
     blur_px2
@@ -352,7 +352,7 @@ def _light_changes(
     camera, sun = (_toward(place, met.point) for place in (body.camera_km, body.sun_km))
     mu0, mu = (np.einsum("in,in->n", normal, side) for side in (sun, camera))
     lit = (shine > 0.0) & (mu0 > 0.0) & (mu > 0.0)
-    share = own_share(body.model.law, body.phase_rad)
+    share = float(own_law(body.model.law, body.phase_rad)[0])
     plain = np.where(lit, _with_law(shine, mu0, mu, law, share), 0.0)
     total = max(float(plain.sum()), np.finfo(float).tiny)
     light = plain * (float(np.sum(shine, where=lit)) / total)  # the brightness is another unknown
@@ -420,11 +420,13 @@ def _leans(
     return [lean - normal * np.einsum("in,in->n", normal, lean) for lean in leans]
 
 
-def own_share(law: ScatteringLaw, phase_rad: float) -> float:
-    """Return Lommel-Seeliger's share in a law; half of laws of another kind."""
+def own_law(law: ScatteringLaw, phase_rad: float) -> FloatArray:
+    """Return Lommel-Seeliger's share and the power of mu0 mu (2,) in a law; half and none of laws of another kind."""
     if isinstance(law, LunarLambert):
-        return float(law.share(phase_rad))
-    return {Lambert: 0.0, LommelSeeliger: 1.0}.get(type(law), OTHER_SHARE)
+        return np.array([law.share(phase_rad), 0.0])
+    if isinstance(law, Minnaert):
+        return np.array([0.0, law.k - 1.0])
+    return np.array([{Lambert: 0.0, LommelSeeliger: 1.0}.get(type(law), OTHER_SHARE), 0.0])
 
 
 def _seeliger(mu0: FloatArray, mu: FloatArray) -> FloatArray:
@@ -446,7 +448,7 @@ def _with_law(
 
 
 def _law_value(body: PlacedBody, mu0: FloatArray, mu: FloatArray, law: FloatArray) -> FloatArray:
-    phase, share = np.full_like(mu0, body.phase_rad), own_share(body.model.law, body.phase_rad)
+    phase, share = np.full_like(mu0, body.phase_rad), float(own_law(body.model.law, body.phase_rad)[0])
     value = body.model.law.reflectance(np.maximum(mu0, 0.0), np.maximum(mu, 1e-6), phase)
     return _with_law(value, mu0, mu, law, share)
 
