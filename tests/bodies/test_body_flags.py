@@ -197,6 +197,7 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     assert np.all(np.diag(known.covariance_px2) < np.diag(joint.covariance_px2))
 
 
+@pytest.mark.slow(keep=["2.0-1.0-0.1"])
 @pytest.mark.parametrize(
     ("apart_px", "range_share", "sigma_px"), [(2.0, 1.0, 0.1), (-8.0, 1.5, 0.2), (-14.0, 1.5, 0.8)]
 )

@@ -63,7 +63,7 @@ def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_p
     assert chi2(second, MOON) < 14.0
 
 
-@pytest.mark.slow(keep=["20.0-offset_px0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("width_px", "offset_px"), [(20.0, (-6.0, 4.0)), (30.0, (-6.0, 4.0)), (20.0, (60.0, -45.0))]
 )
@@ -117,7 +117,7 @@ def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, 
     assert find_disk(picture, "BODY").status == "not_detected"
 
 
-@pytest.mark.slow(keep=["offset_px0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("offset_px", [(4.0, -3.0), (45.0, 30.0)])
 def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px):
     model = body_stage.body(24.0, 40.0, MOON)

@@ -136,7 +136,8 @@ def test_a_picture_without_any_attitude_gives_place_and_range(starless_truth, se
     assert "PLUTO" not in again.inputs.targets
 
 
-@pytest.mark.parametrize("method", ["ellipse", pytest.param("disk", marks=pytest.mark.slow)])
+@pytest.mark.slow(keep=["5.0-5.0-ellipse"])
+@pytest.mark.parametrize("method", ["ellipse", "disk"])
 @pytest.mark.parametrize(("phase", "sun"), [(5.0, 5.0), (-5.0, 0.0)])
 def test_a_sun_beside_its_place_moves_a_center_no_farther_than_told(
     unknown, resolved_truths, seen, method, phase, sun
