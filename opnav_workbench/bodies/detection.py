@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.bodies.disk.fit import FIGURE
+from opnav_workbench.bodies.disk.columns import FIGURE
 from opnav_workbench.bodies.disk.measurement import (
     ALIKE_SIGMAS,
     MeasuredDisk,

@@ -12,8 +12,8 @@ import numpy as np
 from opnav_workbench.arrays import BoolArray, FloatArray
 from opnav_workbench.bodies.detection import DetectedScene, FoundBody
 from opnav_workbench.bodies.disk.centerfinder import judged_disk
-from opnav_workbench.bodies.disk.fit import SEEN_PX, SEEN_SHARE
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
+from opnav_workbench.bodies.disk.problem import SEEN_PX, SEEN_SHARE
 from opnav_workbench.bodies.judgement import (
     confirmed_center,
     is_other_size,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies.disk.fit import CENTER, Unknown
+from opnav_workbench.bodies.disk.columns import CENTER, Unknown
 from opnav_workbench.bodies.disk.measurement import (
     MeasuredDisk,
     crossing_covariance,

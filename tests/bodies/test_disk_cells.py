@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies.disk.fit import _DiskProblem, _Fitter
+from opnav_workbench.bodies.disk.fit import _Fitter
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
+from opnav_workbench.bodies.disk.problem import DiskProblem
 
 PLACE = np.array([500.3, 480.7])
 
@@ -33,7 +34,7 @@ def test_cells_of_empty_sky_change_no_likelihood(disk):
 
 def test_cells_stay_what_they_are_while_an_outline_hardly_moves(disk):
     fit, picture = disk.fit, disk.picture
-    problem = _DiskProblem(picture, "BODY", _usable(picture, "BODY", disk.place), disk.place)
+    problem = DiskProblem(picture, "BODY", _usable(picture, "BODY", disk.place), disk.place)
     fitter = _Fitter(problem, fit.shape, fit)
     fitter._solve()
     first = fitter.linear.celled

@@ -8,7 +8,7 @@ from disk_exam import draw, error_over_sigma, error_px, fair, is_false, is_ok, r
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk
-from opnav_workbench.bodies.disk.fit import CENTER
+from opnav_workbench.bodies.disk.columns import CENTER
 from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.limb_light import PLANES
 from opnav_workbench.bodies.disk.measurement import likelier, measure_disk

@@ -7,10 +7,12 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk
-from opnav_workbench.bodies.disk.fit import SHADED, DiskShape, Unknown, _DiskProblem, _Fitter, disk_columns
+from opnav_workbench.bodies.disk.columns import SHADED, DiskShape, Unknown, disk_columns
+from opnav_workbench.bodies.disk.fit import _Fitter
 from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
+from opnav_workbench.bodies.disk.problem import DiskProblem
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import Silhouette
 
@@ -103,7 +105,7 @@ def test_columns_are_the_changes_of_light_that_is_tabulated_anew(body_stage, dia
     model = body_stage.body(diameter, phase, CENTER, axes=axes)
     picture = body_stage.picture(body_stage.light(model), [model])
     place = BodyPlace(CENTER, 1.0, 1.0)
-    problem = _DiskProblem(picture, "BODY", _usable(picture, "BODY", place), place)
+    problem = DiskProblem(picture, "BODY", _usable(picture, "BODY", place), place)
     strain = np.array([0.02, -0.015, 0.03, 0.02, -0.03])
     shape = DiskShape(CENTER, 0.01, strain, np.array([0.3, -0.1]), 0.1, np.zeros(problem.pieces))
     made = problem.tabulated(shape, fine=True, on_slopes=False)
@@ -157,7 +159,7 @@ def test_pieces_of_limb_that_an_edge_cuts_weigh_less():
     for family, contrast in (("uniform", 1.0), ("blobs_1.0", 9.0)):
         trial = make_trial(TrialSetup(4, 100.0, 25.0, family=family, contrast=contrast, peak_dn=1500.0))
         disk = measure_disk(trial.picture, trial.name, "disk", None, None)
-        problem = _DiskProblem(disk.picture, trial.name, disk.pixels, disk.place)
+        problem = DiskProblem(disk.picture, trial.name, disk.pixels, disk.place)
         fitter = _Fitter(problem, disk.fit.shape, disk.fit)
         fitter._solve()
         before = fitter.linear.system.variance

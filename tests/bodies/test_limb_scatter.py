@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from disk_truth import TrialSetup, make_trial
 
-from opnav_workbench.bodies.disk.fit import CENTER
+from opnav_workbench.bodies.disk.columns import CENTER
 from opnav_workbench.bodies.disk.limb_field import BLOCK
 from opnav_workbench.bodies.disk.limb_scatter import MODEL_DEGREES, limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbScores

@@ -7,8 +7,8 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import measure_disk
-from opnav_workbench.bodies.disk import fit as disk_fit
-from opnav_workbench.bodies.disk.fit import Unknown
+from opnav_workbench.bodies.disk import problem as disk_problem
+from opnav_workbench.bodies.disk.columns import Unknown
 from opnav_workbench.bodies.disk.limb_light import own_law
 from opnav_workbench.render import Hapke, Lambert, LommelSeeliger, LunarLambert, Minnaert
 
@@ -24,13 +24,13 @@ def test_what_a_law_has_of_mixtures_and_powers():
 @pytest.fixture
 def tabulations(monkeypatch):
     """How often fine light is tabulated, and how often coarse."""
-    counts, whole = {True: 0, False: 0}, disk_fit.limb_light
+    counts, whole = {True: 0, False: 0}, disk_problem.limb_light
 
     def counted(*args, **kwargs):
         counts[kwargs["fine"]] += 1
         return whole(*args, **kwargs)
 
-    monkeypatch.setattr(disk_fit, "limb_light", counted)
+    monkeypatch.setattr(disk_problem, "limb_light", counted)
     return counts
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies.disk import fit as disk_fit
+from opnav_workbench.bodies.disk.columns import CENTER
 from opnav_workbench.bodies.disk.measurement import measure_disk
 
 
@@ -17,7 +18,7 @@ def test_what_a_fit_would_still_move_is_in_its_sigma(monkeypatch):
     monkeypatch.setattr(disk_fit, "MOST_TURNS", 1)
     monkeypatch.setattr(disk_fit, "MOST_FINE", 1)
     stopped = disk_fit.fit_disk(disk.picture, disk.name, beside, disk.pixels)
-    wants = stopped.solution.theta[disk_fit.CENTER]
+    wants = stopped.solution.theta[CENTER]
     assert np.hypot(*wants) > 0.1
     assert np.all(np.linalg.eigvalsh(stopped.unrest_px2 - np.outer(wants, wants)) > -1e-12)
     away = stopped.center_px - trial.truth_px
@@ -25,4 +26,4 @@ def test_what_a_fit_would_still_move_is_in_its_sigma(monkeypatch):
     assert away @ np.linalg.solve(linearized, away) > 3.0**2
     assert away @ np.linalg.solve(stopped.covariance_px2, away) < 2.0**2
     # One that has come to rest wants nothing
-    assert np.hypot(*disk.fit.solution.theta[disk_fit.CENTER]) < 0.01
+    assert np.hypot(*disk.fit.solution.theta[CENTER]) < 0.01

@@ -24,6 +24,12 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     Whether pieces of limb pull the center as the model has them do.
 ``tuning``
     The field's prior, as the data speak for it.
+``columns``
+    What pieces of a limb share, and the light's derivatives by it.
+``problem``
+    What stays while a disk is fitted: pixels, and what is believed beforehand.
 ``fit``
     Outline, law, field and the rest, fitted.
+``fitted``
+    A fitted disk.
 """

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.fit import DiskFit, Unknown
+from opnav_workbench.bodies.disk.columns import Unknown
+from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, measure_disk
 from opnav_workbench.bodies.judgement import (
     POOR_CHI2,

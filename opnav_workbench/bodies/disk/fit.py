@@ -2,75 +2,48 @@
 
 Flow   place -> tables of light -> pixels of the strip about the outline -> cells -> marginal solution -> center, size, axes,
        law moved -> ... -> field prior by marginal likelihood -> ... -> covariance
-
-Unknowns that all pieces of limb share, with the uncertainty that they have beforehand:
-
-brightness, background and its slopes   none
-center                                  `PLACE_PX`, `PLACE_SIGMAS` about its place
-size                                    `BodyModel.figure` of the body, and the crossings of the limb: `SEEN_PX`
-axes                                    `BodyModel.figure`: two in the plane, three that change the shading alone
-law                                     Lommel-Seeliger share, power of mu0 mu: `FigureUncertainty`, `UNKNOWN_LAW` or given
-PSF                                     variance and wings: `BodyPicture.psf_width_sigma`, `WING_SIGMA`
-
-and of its own each piece has an albedo and a place of its limb: `opnav_workbench.bodies.disk.marginal`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from enum import IntEnum
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
-from opnav_workbench.bodies.disk.limb_cells import (
-    LimbPlaces,
-    cell_of,
-    depth_edges,
-    gathered,
-    limb_pixels,
-    limb_places,
+from opnav_workbench.arrays import FloatArray, IntArray
+from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples
+from opnav_workbench.bodies.disk.columns import (
+    ALBEDO,
+    CENTER,
+    FIGURE,
+    RELIEF,
+    SHADED,
+    SHADING,
+    SHARED,
+    SHARES,
+    STRAINED,
+    DiskShape,
+    TabulatedDisk,
+    Unknown,
+    columns_dn,
+    disk_columns,
 )
-from opnav_workbench.bodies.disk.limb_field import FieldPrior, limb_field, piece_angles
-from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight, limb_light, own_law, psf_variance
+from opnav_workbench.bodies.disk.fitted import DiskFit
+from opnav_workbench.bodies.disk.limb_cells import cell_of, gathered, limb_pixels, limb_places
+from opnav_workbench.bodies.disk.limb_field import FieldPrior, piece_angles
 from opnav_workbench.bodies.disk.limb_scatter import limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
+from opnav_workbench.bodies.disk.problem import LIT_LIMB, DiskProblem
 from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
-from opnav_workbench.bodies.scales import scale_precisions
-from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
-from opnav_workbench.bodies.strained import can_be_strained, strained_picture
-from opnav_workbench.constants import PIXEL_VARIANCE_PX2
+from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.errors import CenterfindingError
-from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
-__all__ = ["DiskFit", "DiskShape", "Unknown", "fit_disk"]
+__all__ = ["fit_disk"]
 
-# Pieces of limb: as many as are so long at least, and more than the middle one of these numbers where they are longer still:
-# a patch on a large disk is seen to have edges. Blocks of as many pieces halve well.
-PIECES, MIDDLE, PIECE_PX = (24, 32, 40, 48, 64, 80, 96), 48, (1.5, 4.0)
-# Of the albedo, from the limb inward, no nearer than two widths of the PSF. Five left so much of sharp patches on a dim limb
-# that a larger disk with a darker rim explained the pixels better, by 2 px and 6 sigma; eleven do no better than eight.
-FEWEST_NODES, MOST_NODES, NODE_WIDTHS = 5, 8, 2.0
-DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = (
-    0.6,
-    40.0,
-    12.0,
-)  # what tells of the limb, and of the albedo beside it
-SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there
 SAME_CELLS_PX = 0.35  # that an outline may move by, and cells stay what they are: half of their depth
-ROOM_PX = 16.0  # for a limb to move in before squares are made anew
-SKY_PX, PSF_REACH = 6.0, 4.0  # beyond the limb: background, after so many sigmas of the PSF
-# Nothing is known of the law of a body that has none in the mission file: its model is Lambert's, and it lies anywhere
-# between that and Lommel-Seeliger's. A law that was given is one of a kind of bodies.
-# Mean and sigma of Lommel-Seeliger's share beyond the law's own, sigma of the power of mu0 mu.
-UNKNOWN_LAW, GIVEN_LAW = (0.5, 0.5, 0.2), (0.0, 0.3, 0.2)
-MINNAERT_SHARE = GIVEN_LAW[2] / GIVEN_LAW[1]  # where the first is stated
-LAW_BOUNDS = np.array([[-0.1, -0.6], [1.5, 0.6]])  # of the whole share, and of the power
-WING_SIGMA = 0.15
 # Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned; times that the prior
 # of coarse light is. Nothing but the tables tells how light changes with a power: along the valley of a law they have to
 # follow.
@@ -81,18 +54,7 @@ COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
 LARGEST_LOG = 0.5  # of the size over the model's
 LONGEST_PX = 1.0  # a step: the derivatives of a limb reach no farther than the PSF
-HELD = 1e-4  # sigma of a size that is held
-# The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
-SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
-PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
 MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
-RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
-LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
-LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of it, or it is not in sight
-# Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
-SHADING_SHARE = np.sqrt([0.6, 0.2, 0.2])
-SHADING_SCALES = (1.0, 0.2)  # surfaces lean by what their axes say, or by less: the rest is albedo
-LEAN_SIGMAS = 2.0  # of that, as far as tables follow: a patchy surface is explained by far more, and led away
 # A step: as far as their derivatives reach. Light is linear in the share of a law, so that is taken whole.
 MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
 LEAST_BRIGHT = 0.5  # of light without what a law adds to it
@@ -126,405 +88,6 @@ NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.
 EVEN_ALBEDO = 0.05  # and noise changes with the share
 
 
-class Unknown(IntEnum):
-    """What all pieces of limb share, in the order of `MarginalSolution.theta`."""
-
-    BRIGHTNESS = 0
-    PIXEL = 1
-    LINE = 2
-    SIZE = 3
-    AXIS_COS = 4
-    AXIS_SIN = 5
-    LAW = 6
-    LAW_2 = 7
-    STRAIN_ZZ = 8
-    STRAIN_XZ = 9
-    STRAIN_YZ = 10
-    BLUR = 11
-    WINGS = 12
-    HALO = 13
-    LEVEL = 14
-    SLOPE_PIXEL = 15
-    SLOPE_LINE = 16
-
-
-SHARED = len(Unknown)
-CENTER = [Unknown.PIXEL, Unknown.LINE]
-FIGURE = [Unknown.SIZE, Unknown.AXIS_COS, Unknown.AXIS_SIN]
-SHARES = [Unknown.LAW, Unknown.LAW_2]
-STRAY = [Unknown.WINGS, Unknown.HALO]
-SHADING = [Unknown.STRAIN_ZZ, Unknown.STRAIN_XZ, Unknown.STRAIN_YZ]
-STRAINED = [Unknown.AXIS_COS, Unknown.AXIS_SIN, *SHADING]
-MEANT = [Unknown.BLUR, *STRAY, *SHARES, *STRAINED]  # of theta: shares of the planes between light and relief
-TABLES = len(PLANES)
-# Columns beyond what is shared and the place of the limb: hats of the albedo, shading by the strains of the outline, relief.
-ALBEDO, SHADED, RELIEF = slice(SHARED + 1, -3), [-3, -2], -1
-# Columns of what moves with the limb, or lights it otherwise: as bright as it is there.
-LOCAL = [*CENTER, *FIGURE, *SHARES, *SHADING, Unknown.BLUR, SHARED, *SHADED, RELIEF]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DiskShape:
-    """Outline of a disk, and the law that its light has.
-
-    Attributes
-    ----------
-    center_px : (2,) array
-    log_size
-        Logarithm of the size over the model's.
-    strain : (5,) array
-        As `opnav_workbench.bodies.strained.STRAINS`; the first two change the outline's radius as cos 2a and sin 2a.
-    law : (2,) array
-        As `opnav_workbench.bodies.disk.limb_light.limb_light` has it.
-    blur_px2
-        Variance of the PSF along each axis beyond its own.
-    rough_px : (j,) array
-        Height of the limb at each piece.
-    """
-
-    center_px: FloatArray
-    log_size: float
-    strain: FloatArray
-    law: FloatArray
-    blur_px2: float
-    rough_px: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TabulatedDisk:
-    """Tables of light, the shape they were made with, and the silhouette of the body under its strain, `strain` (5,).
-
-    `slant` (n,) is `Outline.slant` there; `lit` (j,) says which pieces of limb the light shows.
-    """
-
-    shape: DiskShape
-    strain: FloatArray
-    silhouette: Silhouette
-    slant: FloatArray
-    light: LimbLight
-    lit: BoolArray
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    @property
-    def tabulated(self) -> FloatArray:
-        """What of theta (p,) is in the tables of light already; 0 for all else."""
-        theta = np.zeros(SHARED)
-        theta[SHARES], theta[STRAINED], theta[Unknown.BLUR] = self.shape.law, self.strain, self.shape.blur_px2
-        return theta
-
-    def sloped(self, theta: FloatArray) -> "TabulatedDisk":
-        """Return tables with the slopes of the light that a solution (p,) means, not of the one they were made with."""
-        shares = np.append(1.0, (theta - self.tabulated)[MEANT])
-        return replace(self, light=self.light.sloped(shares))
-
-    def slant_at(self, angle_rad: FloatArray) -> FloatArray:
-        """Return the outline's slope over its radius, without the heights of its pieces, at angles (m,)."""
-        n = len(self.slant)
-        return np.asarray(self.slant[np.mod(np.round((angle_rad + np.pi) * (n / TURN)), n).astype(np.int64)])
-
-    def outline(self, shape: DiskShape, *, rough: bool = True) -> Outline:
-        """Return the outline of a shape near the tabulated one, with the heights of its pieces or without."""
-        plain = self.silhouette.at(shape.center_px)
-        angle, n = plain.angle_rad, len(shape.rough_px)
-        height = (
-            np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
-        )
-        return plain.strained(shape.log_size, shape.strain[:2] - self.strain[:2], height)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DiskFit:
-    """A fitted disk.
-
-    Attributes
-    ----------
-    place
-        From which it began.
-    outline, smooth_outline
-        At the solution, with the heights of its pieces and without.
-    made
-        Tables that the solution rests on, and what they were made with.
-    prior
-        Of the albedo and the limb, as the data speak for it.
-    columns : (p + 1 + k + 3, n) array
-        At the pixels, relative: derivatives with respect to what is shared, to the place of the limb, to the albedo, the
-        shading that goes with the two strains of the outline, and the light of slopes that face the Sun.
-    piece_albedo : (j,) array
-        Of each piece of limb, relative.
-    reach_px : (float, float)
-        Inward and outward of the pixels that were used.
-    chi2_reduced
-        Chi-squared a degree of freedom, with the sky beside the body or without: what lies there is not the body's.
-    lit_share
-        Share of a turn of limb that is lit and in sight.
-    lengths_px
-        Of the center's steps.
-    excess
-        Variance of the cells over what was expected of them; the solution's covariance has to be as much larger.
-    scatter
-        Variance of the center over what excess makes of it, by how pieces of limb pull it
-        (`opnav_workbench.bodies.disk.limb_scatter`).
-    unrest_px2 : (2, 2) array
-        Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one, and
-        how far the solution there would still move.
-    extrapolated
-        Whether the light that the solution means is far from what was tabulated.
-    """
-
-    place: BodyPlace
-    shape: DiskShape
-    outline: Outline
-    smooth_outline: Outline
-    made: TabulatedDisk
-    brightness_dn: float
-    prior: FieldPrior
-    system: LimbSystem
-    solution: MarginalSolution
-    pixels: LimbPlaces
-    columns: FloatArray
-    piece_albedo: FloatArray
-    figure: FigureUncertainty
-    reach_px: tuple[float, float]
-    chi2_reduced: float
-    lit_share: float
-    lengths_px: tuple[float, ...]
-    converged: bool
-    excess: float = 1.0
-    scatter: float = 1.0
-    unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
-    extrapolated: bool = False
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-    @property
-    def center_px(self) -> FloatArray:
-        """Center of figure (2,)."""
-        return self.shape.center_px
-
-    @property
-    def covariance_px2(self) -> FloatArray:
-        """Covariance of the center (2, 2), marginal over all else."""
-        own = self.excess * self.scatter * self.solution.covariance[np.ix_(CENTER, CENTER)]
-        return np.asarray(own + self.unrest_px2)
-
-    def light_dn(self) -> FloatArray:
-        """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""
-        return np.asarray(self.brightness_dn * self.columns[Unknown.BRIGHTNESS])
-
-    @property
-    def lit_dn(self) -> FloatArray:
-        """How bright the limb is at the angles of the pixels (n,), DN."""
-        angle = piece_angles(len(self.piece_albedo))
-        albedo = np.interp(np.mod(self.pixels.angle_rad, TURN), angle, self.piece_albedo, period=TURN)
-        return np.asarray(self.brightness_dn * albedo)
-
-    def even_dn(self) -> FloatArray:
-        """Return the light (n,) that the solution has at its pixels, DN, for a uniform albedo."""
-        return np.asarray(self.light_dn() + self._beyond_tables_dn(self.brightness_dn))
-
-    def _beyond_tables_dn(self, lit_dn: FloatArray | float) -> FloatArray:
-        beyond = self.solution.theta - self.made.tabulated
-        changing = [*SHARES, *SHADING, Unknown.BLUR]
-        local = beyond[FIGURE[1:]] @ self.columns[SHADED] + beyond[changing] @ self.columns[changing]
-        return np.asarray(lit_dn * local + self.brightness_dn * (beyond[STRAY] @ self.columns[STRAY]))
-
-    def model_dn(self) -> FloatArray:
-        """Return what the solution expects (n,) at its pixels, DN."""
-        theta = self.solution.theta
-        linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
-        model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn(self.lit_dn)
-        j = len(self.piece_albedo)
-        place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
-        below = np.floor(place).astype(np.int64)
-        part = place - below
-        for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
-            nodes = self.solution.nodes[index, :-1]
-            model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
-        return np.asarray(model)
-
-    def sigma(self, unknown: Unknown) -> float:
-        """Return the standard deviation of what is shared."""
-        return float(np.sqrt(self.solution.covariance[unknown, unknown]))
-
-
-def disk_columns(
-    made: TabulatedDisk,
-    shape: DiskShape,
-    outline: Outline,
-    near: LimbPlaces,
-    *,
-    on_slopes: bool,
-    spread_px: FloatArray | None = None,
-) -> FloatArray:
-    """Return the derivatives of the light at n places about an outline of a shape, as `DiskFit.columns` has them.
-
-    `on_slopes` says whether the hats are those of slopes that face the Sun; the light is a mean over depths with `spread_px`
-    (n,) as their sigma.
-    """
-    spread_px = np.zeros_like(near.depth_px) if spread_px is None else spread_px
-    waves = Outline.waves(near.angle_rad, made.slant_at(near.angle_rad))
-    strain = (shape.strain[:2] - made.strain[:2]) @ waves
-    grown = shape.log_size - made.shape.log_size + strain
-    slopes, tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
-    slope, turn, by_variance = slopes
-    m0, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
-    # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a
-    # strain G the light loses x G grad L + v div G grad L (p * (x S) = x L + v grad L for a Gaussian p).
-    reach = np.maximum(near.limb_px + near.depth_px, 1.0)
-    by_psf = -2.0 * made.light.psf_variance_px2 * np.stack([by_variance, by_variance - slope / reach])
-    size, in_plane = by_psf - slope * reach
-    m0 = m0 + grown * by_psf[0] + strain * (by_psf[1] - by_psf[0])
-    away = (np.stack([near.pixel, near.line]) - outline.center_px[:, None]) / (0.5 * outline.diameter_px)
-    columns = [
-        m0, *(slope * near.shift.T + turn * near.turn.T), size, *(in_plane * waves), law, law_2,
-        *shading, blur, wings, halo, np.ones_like(m0), *away, -slope,
-    ]  # fmt: skip
-    hats = made.light.hats_of(tables, on_slopes=on_slopes)
-    return np.concatenate([np.stack(columns), hats, np.stack([by_cos, by_sin, relief])])
-
-
-def columns_dn(columns: FloatArray, brightness_dn: float, lit_dn: FloatArray) -> FloatArray:
-    """Return `DiskFit.columns` (p, ...), DN, of a limb that is as bright as `lit_dn` (...)."""
-    out = columns.copy()
-    out[LOCAL] *= lit_dn
-    out[STRAY] *= brightness_dn
-    return out
-
-
-class _DiskProblem:
-    """What stays while a disk is fitted."""
-
-    def __init__(
-        self,
-        picture: BodyPicture,
-        name: str,
-        pixels: DiskPixels,
-        place: BodyPlace,
-        held_log_size: float | None = None,
-    ) -> None:
-        self.picture, self.name, self.pixels, self.place = picture, name, pixels, place
-        radius_px = 0.5 * picture.diameter_px(name) * place.size_ratio
-        self.radius_px = radius_px
-        crossed = (
-            float(np.log(place.seen_ratio)),
-            float(np.hypot(SEEN_SHARE * place.seen_sigma, SEEN_PX / radius_px)),
-        )
-        self.size_prior = crossed if held_log_size is None else (held_log_size, HELD)  # mean, sigma
-        model = picture.model(name)
-        self.can_be_strained = can_be_strained(model)
-        self.figure: FigureUncertainty = model.seen_figure
-        self.most_lean = LEAN_SIGMAS * self.figure.axes_sigma * SHADING_SHARE
-        self.law_prior = _law_prior(model)
-        self.own_law = own_law(model.law, float(picture.phase_rad(name)))
-        self.law_bounds = LAW_BOUNDS - self.own_law
-        self.psf_variance_px2 = psf_variance(picture.psf)
-        # Pixels show nothing narrower than they are
-        self.psf_px = max(float(np.max(picture.psf.sigma_px)), float(np.sqrt(PIXEL_VARIANCE_PX2)))
-        inward = min(DEEPEST_PX, radius_px * (1.0 - np.cos(DEEPEST_RAD)))
-        self.reach = min(radius_px, max(LEAST_DEPTH_PX, inward)), PSF_REACH * self.psf_px + SKY_PX
-        self.edges = depth_edges(*self.reach, self.psf_px)
-        self.sharp_px = SHARP_SIGMAS * self.psf_px
-        self.in_sky = self.edges[:-1] > self.psf_px
-        self.beside = self.edges[:-1] > PSF_REACH * self.psf_px
-        self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
-        self._squares: PixelSquares | None = None
-        self.pieces = _pieces(TURN * radius_px)
-        width = float(np.sqrt(self.psf_variance_px2))
-        deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
-        seen = round(1.0 + deepest * radius_px / (NODE_WIDTHS * width))
-        self.node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
-        self.rim_weight = np.exp(-self.node_rad / RIM_RAD)
-        self.rough_px = self.figure.limb_roughness * radius_px
-        self.field = limb_field(radius_px, width, self.node_rad, self.pieces, self.figure.albedo_sigma)
-        self.prior_precision = self._prior_sigma() ** -2.0
-        self.scales = self._scales()
-        self.hemispheres = np.array(self.figure.albedo_scales) / self.figure.albedo_sigma
-
-    def samples(self, outline: Outline) -> LimbSamples:
-        """Return the pixels about an outline, gathered in squares where its light is smooth."""
-        outward = self.reach[1]
-        if self._squares is None or not self._squares.hold(outline, outward):
-            self._squares = PixelSquares(self.pixels, outline, outward + ROOM_PX)
-        return limb_samples(self._squares, outline, *self.reach, self.sharp_px)
-
-    def seen_limb(self, made: TabulatedDisk, system: LimbSystem) -> BoolArray:
-        """Tell which pieces of limb (j,) are lit and show enough of the step from body to sky, be all else saturated."""
-        share = np.isfinite(system.variance[:, self.at_limb]).mean(axis=1)
-        return np.asarray(made.lit & (share > LEAST_STEP))
-
-    def _lit(self, light: LimbLight) -> BoolArray:
-        """Tell which pieces of limb (j,) light shows at any depth of the cells."""
-        angle, depth = np.meshgrid(
-            piece_angles(self.pieces), 0.5 * (self.edges[:-1] + self.edges[1:]), indexing="ij"
-        )
-        brightest = light.at(angle.ravel(), depth.ravel(), 1)[0].reshape(angle.shape).max(axis=1)
-        return np.asarray(brightest > LIT_LIMB)
-
-    def tabulated(
-        self, shape: DiskShape, *, fine: bool = False, on_slopes: bool | None = None
-    ) -> TabulatedDisk:
-        """Return the light of a shape; of a body that cannot be strained, without its strain."""
-        strain = shape.strain if self.can_be_strained else np.zeros(5)
-        picture = strained_picture(self.picture, self.name, strain)
-        silhouette, scale = Silhouette(picture, self.name), float(np.exp(-shape.log_size))
-        outline = silhouette.at(shape.center_px, scale)
-        inward, outward = self.reach
-        reach = (inward + 4.0, outward + 4.0)
-        light = limb_light(
-            picture, self.name, outline, scale, reach, self.node_rad, shape.law, strain, shape.blur_px2,
-            fine=fine, on_slopes=on_slopes,
-        )  # fmt: skip
-        slant = silhouette.at(shape.center_px).slant
-        return TabulatedDisk(shape, strain, silhouette, slant, light, self._lit(light))
-
-    def _prior_sigma(self) -> FloatArray:
-        """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""
-        out = np.full(SHARED, np.inf)
-        out[Unknown.SIZE] = self.size_prior[1]
-        out[CENTER] = max(PLACE_PX, PLACE_SIGMAS * self.place.center_sigma_px)
-        out[SHARES] = self.law_prior[1:]
-        out[Unknown.BLUR] = 2.0 * self.picture.psf_width_sigma * self.psf_variance_px2
-        out[STRAY] = WING_SIGMA
-        return out
-
-    def _scales(self) -> FloatArray:
-        """Return the precisions (k, p) of the scales that size, axes and shading may have."""
-        figure = self.figure
-        shading = figure.axes_sigma * np.multiply.outer(SHADING_SCALES, SHADING_SHARE)
-        return scale_precisions(
-            SHARED, ([Unknown.SIZE], figure.size_scales), (FIGURE[1:], figure.axes_scales), (SHADING, shading)
-        )
-
-    def prior_mean(self, center_px: FloatArray) -> FloatArray:
-        """Return what is expected (p,) of what is shared; of the center, as a step from where it is."""
-        mean = np.zeros(SHARED)
-        mean[Unknown.SIZE] = self.size_prior[0]
-        mean[CENTER] = self.place.center_px - center_px
-        mean[Unknown.LAW] = self.law_prior[0]
-        return mean
-
-
-def _pieces(limb_px: float) -> int:
-    """Return the number of pieces of a limb of this length."""
-    short, long = (limb_px / px for px in PIECE_PX)
-    wanted = min(short, max(float(MIDDLE), long))
-    return max((n for n in PIECES if n <= wanted), default=PIECES[0])
-
-
-def _law_prior(model: BodyModel) -> tuple[float, float, float]:
-    """Return mean and sigma of what a body's law has more of Lommel-Seeliger's, and the sigma of its power."""
-    stated = model.figure.law_sigma
-    if stated is not None:
-        return 0.0, stated, MINNAERT_SHARE * stated
-    return UNKNOWN_LAW if isinstance(model.law, Lambert) else GIVEN_LAW
-
-
 def fit_disk(
     picture: BodyPicture,
     name: str,
@@ -554,7 +117,7 @@ def fit_disk(
     CenterfindingError
         The body leaves what the camera model covers.
     """
-    problem = _DiskProblem(picture, name, pixels, place, held_log_size)
+    problem = DiskProblem(picture, name, pixels, place, held_log_size)
     none = np.zeros(problem.pieces)
     law = np.array([problem.law_prior[0], 0.0])
     strain = np.append(place.strain, np.zeros(3))
@@ -643,7 +206,7 @@ class _FitState(NamedTuple):
 
 class _Fitter:
     def __init__(
-        self, problem: _DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
+        self, problem: DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
     ) -> None:
         self.problem, self.follows_light = problem, follows_light
         self.lengths: list[float] = []
@@ -1153,7 +716,7 @@ class _Fitter:
         )
 
 
-def _first_brightness(problem: _DiskProblem, made: TabulatedDisk) -> float:
+def _first_brightness(problem: DiskProblem, made: TabulatedDisk) -> float:
     plane = problem.pixels
     near = problem.samples(made.outline(made.shape))
     model = near.side * made.light.at(near.places.angle_rad, near.places.depth_px, 1)[0]

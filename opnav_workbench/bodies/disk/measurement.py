@@ -19,17 +19,12 @@ from opnav_workbench.bodies.crossings import (
     fit_crossings,
 )
 from opnav_workbench.bodies.disk.blocks import DiskPixels
-from opnav_workbench.bodies.disk.fit import (
-    PLACE_SIGMAS,
-    RELIEF,
-    WANDERED_SHARE,
-    DiskFit,
-    Unknown,
-    disk_columns,
-    fit_disk,
-)
+from opnav_workbench.bodies.disk.columns import RELIEF, Unknown, disk_columns
+from opnav_workbench.bodies.disk.fit import WANDERED_SHARE, fit_disk
+from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
+from opnav_workbench.bodies.disk.problem import PLACE_SIGMAS
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays, symmetric
-from opnav_workbench.bodies.disk.fit import FIGURE, DiskFit, DiskShape
+from opnav_workbench.bodies.disk.columns import FIGURE, DiskShape
+from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.limb_scan.matching import ScanMatch
 from opnav_workbench.bodies.limb_scan.view import LOOK, OUTLINE
 from opnav_workbench.constants import MAD_TO_SIGMA

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.fit import Unknown
+from opnav_workbench.bodies.disk.columns import Unknown
 from opnav_workbench.bodies.disk.measurement import measure_disk
 from opnav_workbench.bodies.judgement import judged_center
 from opnav_workbench.bodies.limb_scan.center_solution import FEWEST

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import DiskFit
+from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.limb_scan.fan import STEP_PX
 from opnav_workbench.bodies.limb_scan.view import ScanView, piece_shares
 

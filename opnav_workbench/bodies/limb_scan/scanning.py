@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.fit import DiskShape
+from opnav_workbench.bodies.disk.columns import DiskShape
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.judgement import (
     CenterReading,

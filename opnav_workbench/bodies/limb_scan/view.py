@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.disk.fit import (
+from opnav_workbench.bodies.disk.columns import (
     ALBEDO,
     CENTER,
     FIGURE,

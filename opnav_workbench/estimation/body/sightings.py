@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from opnav_workbench.arrays import FloatArray, freeze_arrays, symmetric
 from opnav_workbench.bodies import BodyCenter, BodyFlag, BodyPicture, Outline
 from opnav_workbench.bodies.disk.centerfinder import METHOD, judged_disk
-from opnav_workbench.bodies.disk.fit import Unknown
+from opnav_workbench.bodies.disk.columns import Unknown
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, measure_disk
 from opnav_workbench.camera import Camera
 from opnav_workbench.landmarks import LandmarkSolution
