@@ -33,7 +33,7 @@ MOTTLED = {"bodies": ["PLUTO", "CHARON"], "dark": 0.25, "bright": 0.75}
 
 
 LAW_SIGMA = (
-    0.3  # of Lommel-Seeliger's share, as `opnav_workbench.bodies.disk.fit` believes of a law that is stated
+    0.3  # of Lommel-Seeliger's share, as `opnav_workbench.bodies.disk.problem` believes of a law that is stated
 )
 
 
