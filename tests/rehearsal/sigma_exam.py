@@ -32,9 +32,7 @@ from opnav_workbench.render.body import FigureUncertainty
 MOTTLED = {"bodies": ["PLUTO", "CHARON"], "dark": 0.25, "bright": 0.75}
 
 
-LAW_SIGMA = (
-    0.3  # of Lommel-Seeliger's share, as `opnav_workbench.bodies.disk.problem` believes of a law that is stated
-)
+LAW_SIGMA = 0.3  # of Lommel-Seeliger's share, as `opnav_workbench.bodies.disk.problem` believes of a law that is stated
 
 
 def with_laws(scenario, seed: int):

@@ -32,4 +32,6 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     Outline, law, field and the rest, fitted.
 ``fitted``
     A fitted disk.
+``sky_edge``
+    Where the sky about a disk ends: from where a fit begins anew.
 """

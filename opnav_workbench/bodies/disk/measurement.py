@@ -2,7 +2,8 @@
 
 Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
        and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ -> along its
-       own light, where that was extrapolated -> a small one with other sizes
+       own light, where that was extrapolated -> from where the sky ends, where its pixels are not explained -> a small one
+       with other sizes
 """
 
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
 from opnav_workbench.bodies.disk.problem import PLACE_SIGMAS
+from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
@@ -184,6 +186,8 @@ def _fitted(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
+        if fit.chi2_reduced > UNEXPLAINED:
+            fit, crossing = _from_the_sky(picture, name, pixels, fit, crossing)
         fit = _over_sizes(picture, name, place, pixels, fit)
     return fit, pixels, hits, crossing
 
@@ -446,6 +450,37 @@ def _along_its_light(
     return replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away)), crossing
 
 
+UNEXPLAINED = 1.2  # chi-squared: of 80 surfaces, right centers had at most 1.16
+SKY_SIGMA_PX, SKY_SIZE_SIGMA = 0.5, 0.01  # of an outline by the sky about it
+
+
+def _from_the_sky(
+    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit | None
+) -> tuple[DiskFit, CrossingFit | None]:
+    """Return a fit that begins where the sky about the disk ends, if that explains more; else the fit.
+
+    One that has taken the edge of a patch for the limb does not come to the limb by steps.
+    """
+    center, log_size = outline_by_sky(pixels, fit)
+    size = float(np.clip(np.exp(log_size), *START_SIZES))
+    place = replace(
+        fit.place,
+        center_px=center,
+        size_ratio=size,
+        center_sigma_px=max(fit.place.center_sigma_px, SKY_SIGMA_PX),
+        seen_ratio=size,
+        seen_sigma=SKY_SIZE_SIGMA,
+    )
+    try:
+        other = fit_disk(picture, name, place, pixels)
+    except CenterfindingError:
+        return fit, crossing
+    likelier_by = other.solution.log_likelihood - fit.solution.log_likelihood
+    if other.chi2_reduced > fit.chi2_reduced or likelier_by < 0.0:
+        return fit, crossing
+    return other, read_crossings(picture, other)
+
+
 def _likelier_one(
     picture: BodyPicture,
     name: str,
@@ -498,7 +533,6 @@ def _over_sizes(
     return replace(fit, unrest_px2=fit.unrest_px2 + (weight * away.T) @ away)
 
 
-MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a crater's rim may do
 SCATTERS = np.geomspace(1e-3, 1.0, 25)  # of a surface about its model, relative
 
 
@@ -524,13 +558,7 @@ def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
     model = replace(fit, pixels=near, columns=columns).model_dn()
     light = fit.brightness_dn * columns[RELIEF]
     noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
-    square, wide = (pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise
-
-    def cost(scatter: float) -> float:
-        whole = 1.0 + scatter**2 * wide
-        return float(np.sum(np.minimum(square / whole, MOST_SIGMAS**2) + np.log(whole)))
-
-    return min(cost(scatter) for scatter in SCATTERS)
+    return surprise((pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise, SCATTERS)
 
 
 # ---- What a background or a converter may have done to the picture of a large or bright body.

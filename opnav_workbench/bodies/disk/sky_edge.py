@@ -1,0 +1,78 @@
+"""Where the sky about a disk ends: an outline that asks each pixel by itself, whatever is painted on the body.
+
+A likelihood that gives a limb an albedo may take the edge of a dark patch for the limb, and then explains the rest badly.
+Here every pixel is either sky, or body with any albedo at all: light where the model has sky is as unlikely as the noise
+makes it, while no light where it has body is hardly doubted.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from opnav_workbench.arrays import FloatArray
+from opnav_workbench.bodies.disk.blocks import DiskPixels
+from opnav_workbench.bodies.disk.fitted import DiskFit
+from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
+
+__all__ = ["outline_by_sky", "surprise"]
+
+REACH_SHARE = 0.25  # of the radius, to each side of the fitted outline
+MOST_PIXELS = 8000
+BEGUN_SHARES = (-0.05, 0.0, 0.05)  # of the radius: sizes to begin with
+STEP_SHARE, CLOSE_PX, CLOSE_COST, MOST_CALLS = 0.03, 0.05, 0.5, 120
+ALBEDOS = (0.2, 0.4, 0.7)  # relative scatter from pixel to pixel; the likeliest counts
+MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a hit may do
+
+
+def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]:
+    """Return center (2,) and logarithm of the size over the model's of the likeliest outline, with the fit's axes."""
+    radius = 0.5 * fit.outline.diameter_px
+    reach = REACH_SHARE * radius
+    outline = fit.made.outline(fit.shape, rough=False)
+    line, pixel = limb_pixels(outline, pixels.use.shape, reach, reach).index
+    usable = np.flatnonzero(pixels.use[line, pixel])
+    index = line, pixel = tuple(at[usable[:: -(-len(usable) // MOST_PIXELS) or 1]] for at in (line, pixel))
+    data, noise = pixels.data_dn[index], pixels.noise_dn[index]
+    x, y, light = pixel.astype(np.float64), line.astype(np.float64), fit.made.light
+
+    def cost(step: FloatArray) -> float:
+        shape = replace(
+            fit.shape, center_px=fit.center_px + step[:2], log_size=fit.shape.log_size + step[2] / radius
+        )
+        near = limb_places(fit.made.outline(shape, rough=False), x, y)
+        model = fit.brightness_dn * light.at(near.angle_rad, np.maximum(near.depth_px, light.first_px), 1)[0]
+        variance = noise**2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
+        square, wide = (data - model) ** 2 / variance, model**2 / variance
+        return surprise(square, wide, ALBEDOS)
+
+    found = min((_descended(cost, share * radius, STEP_SHARE * radius) for share in BEGUN_SHARES), key=cost)
+    return np.asarray(fit.center_px + found[:2]), fit.shape.log_size + float(found[2]) / radius
+
+
+def surprise(square: FloatArray, wide: FloatArray, scatters: Iterable[float]) -> float:
+    """Return minus twice the logarithm of a likelihood of pixels (n,), each by itself, but for a constant of theirs.
+
+    `square` holds their residuals and `wide` their light, both squared and over the variance of their noise; of the
+    scatters that albedo may have from pixel to pixel, relative, the likeliest counts.
+    """
+
+    def of(scatter: float) -> float:
+        whole = 1.0 + scatter**2 * wide
+        return float(np.sum(np.minimum(square / whole, MOST_SIGMAS**2) + np.log(whole)))
+
+    return min(of(scatter) for scatter in scatters)
+
+
+def _descended(cost: Callable[[FloatArray], float], grown_px: float, step_px: float) -> FloatArray:
+    """Return the step of center and radius (3,), px, to which a simplex descends from a radius larger by `grown_px`."""
+    begin = np.array([0.0, 0.0, grown_px])
+    corners = begin + step_px * np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    found = minimize(
+        cost,
+        begin,
+        method="Nelder-Mead",
+        options={"initial_simplex": corners, "xatol": CLOSE_PX, "fatol": CLOSE_COST, "maxfev": MOST_CALLS},
+    )
+    return np.asarray(found.x)

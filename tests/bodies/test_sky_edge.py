@@ -1,0 +1,43 @@
+"""Disks whose fit has taken the edge of a patch for the limb: where the sky ends tells the limb."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from disk_exam import draw
+from disk_truth import TrialSetup, make_trial
+
+from opnav_workbench.bodies import find_disk, measure_disk
+from opnav_workbench.bodies.disk.measurement import UNEXPLAINED
+from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
+
+
+@pytest.mark.slow(keep=["170"])
+@pytest.mark.parametrize("index", [170, 319, 691])
+def test_a_patch_at_the_limb_is_no_sky(index):
+    """Of 13 `ok` beyond 5 sigma among 2,000 trials those that did not explain their pixels: 1.1, 4.7 and 3.5 px off."""
+    trial = make_trial(draw(9001, index, "full"))
+    center = find_disk(trial.picture, trial.name)
+    away = center.pixel_line - trial.truth_px
+    assert np.sqrt(away @ np.linalg.solve(center.covariance_px2, away)) < 3.0
+    assert np.hypot(*away) < 0.02 * trial.setup.diameter_px
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_an_outline_that_asks_each_pixel_by_itself(seed):
+    """Patches as wide as the body, nine times darker: from 3 px beside and 5 % too small to where steps reach the limb."""
+    trial = make_trial(TrialSetup(seed, 120.0, 25.0, family="blobs_1.0", contrast=9.0))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None, quick=True)
+    shape = replace(disk.fit.shape, center_px=trial.truth_px + np.array([2.0, -2.2]), log_size=-0.05)
+    center, log_size = outline_by_sky(disk.pixels, replace(disk.fit, shape=shape))
+    np.testing.assert_allclose(center, trial.truth_px, rtol=0, atol=1.5)
+    assert abs(log_size) < 0.025
+
+
+def test_surprise_is_that_of_the_likeliest_scatter():
+    square, wide = np.array([1.0, 100.0, 1e6]), np.array([0.0, 100.0, 0.0])
+    # Sky that is as dark as it should be, body twice as bright, a star.
+    by_hand = 1.0 + (100.0 / 101.0 + np.log(101.0)) + 25.0
+    assert surprise(square, wide, [1.0]) == pytest.approx(by_hand)
+    assert surprise(square, wide, [0.01, 1.0]) == pytest.approx(by_hand)
+    assert UNEXPLAINED > 1.0
