@@ -471,14 +471,27 @@ def _from_the_sky(
         seen_ratio=size,
         seen_sigma=SKY_SIZE_SIGMA,
     )
+    found = _fit_from(picture, name, place, pixels)
+    if found is None or found[0].chi2_reduced > fit.chi2_reduced:
+        return fit, crossing
+    return found if found[0].solution.log_likelihood > fit.solution.log_likelihood else (fit, crossing)
+
+
+def _fit_from(
+    picture: BodyPicture,
+    name: str,
+    place: BodyPlace,
+    pixels: DiskPixels,
+    start: DiskFit | None = None,
+    *,
+    follows_light: bool = False,
+) -> tuple[DiskFit, CrossingFit | None] | None:
+    """Return a fit and its crossings; None where there can be none."""
     try:
-        other = fit_disk(picture, name, place, pixels)
+        fit = fit_disk(picture, name, place, pixels, start, follows_light=follows_light)
+        return fit, read_crossings(picture, fit)
     except CenterfindingError:
-        return fit, crossing
-    likelier_by = other.solution.log_likelihood - fit.solution.log_likelihood
-    if other.chi2_reduced > fit.chi2_reduced or likelier_by < 0.0:
-        return fit, crossing
-    return other, read_crossings(picture, other)
+        return None
 
 
 def _likelier_one(
@@ -495,11 +508,8 @@ def _likelier_one(
     One that follows its light goes on from there.
     """
     start = fit if follows_light else None
-    try:
-        other = fit_disk(picture, name, place, pixels, start, follows_light=follows_light)
-        return None if likelier(pixels, fit, other) is fit else (other, read_crossings(picture, other))
-    except CenterfindingError:
-        return None
+    found = _fit_from(picture, name, place, pixels, start, follows_light=follows_light)
+    return None if found is None or likelier(pixels, fit, found[0]) is fit else found
 
 
 # Of a disk that is not much wider than the PSF, size, law, patches and place explain each other along a bent valley; a
