@@ -177,8 +177,7 @@ def test_columns_that_charge_fills_are_no_body(body_stage, width_px, marked):
     assert "take a shorter exposure" in "; ".join(center.messages)
     assert center.flags & BodyFlag.OVEREXPOSED
     if center.pixel_line is not None:
-        assert np.hypot(*(center.pixel_line - PLANET)) < 0.5 * width_px
-    if center.status == "ok":
+        assert np.hypot(*(center.pixel_line - PLANET)) < 0.75 * width_px
         assert chi2(center, PLANET) < 14.0
 
 

@@ -186,10 +186,27 @@ def _fitted(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-        if fit.chi2_reduced > UNEXPLAINED:
+        if fit.chi2_reduced > UNEXPLAINED and picture.spilled is None:  # else charge is about it, and no sky
             fit, crossing = _from_the_sky(picture, name, pixels, fit, crossing)
         fit = _over_sizes(picture, name, place, pixels, fit)
-    return fit, pixels, hits, crossing
+    return _as_hidden_as_it_is(picture, fit), pixels, hits, crossing
+
+
+HIDDEN_LIMB, HIDDEN_PLACE = (
+    0.15,
+    0.3,
+)  # of a turn; of the radius: 15 such bodies of two sets lay within 2.1 sigma
+
+
+def _as_hidden_as_it_is(picture: BodyPicture, fit: DiskFit) -> DiskFit:
+    """Return the fit of an overexposed body with what its charge hides in the covariance, where hardly any limb is seen.
+
+    It lies in that charge, its wings tell about where; a fit of a few pixels beside it knows nothing of that.
+    """
+    if picture.spilled is None or fit.lit_share > HIDDEN_LIMB:
+        return fit
+    hidden_px = HIDDEN_PLACE * 0.5 * fit.outline.diameter_px
+    return replace(fit, unrest_px2=fit.unrest_px2 + hidden_px**2 * np.eye(2))
 
 
 def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
@@ -441,8 +458,7 @@ def _along_its_light(
     if found is None:
         return fit, crossing
     other, reading = found
-    wide = np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2)
-    if wide or not other.converged:
+    if _is_wider(other, fit) or not other.converged:
         return fit, crossing
     if alike(other, reading):
         return found
@@ -472,9 +488,19 @@ def _from_the_sky(
         seen_sigma=SKY_SIZE_SIGMA,
     )
     found = _fit_from(picture, name, place, pixels)
-    if found is None or found[0].chi2_reduced > fit.chi2_reduced:
-        return fit, crossing
-    return found if found[0].solution.log_likelihood > fit.solution.log_likelihood else (fit, crossing)
+    return (fit, crossing) if found is None or not _explains(found[0], fit) else found
+
+
+def _explains(other: DiskFit, fit: DiskFit) -> bool:
+    """Tell whether another fit explains what one does not: most of it, likelier, and knowing the center about as well."""
+    most = max(UNEXPLAINED, 0.5 * (1.0 + fit.chi2_reduced))
+    if other.chi2_reduced > most or other.solution.log_likelihood < fit.solution.log_likelihood:
+        return False
+    return not _is_wider(other, fit)
+
+
+def _is_wider(other: DiskFit, fit: DiskFit) -> bool:
+    return bool(np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2))
 
 
 def _fit_from(

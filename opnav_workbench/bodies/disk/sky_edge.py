@@ -38,6 +38,8 @@ def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]
     x, y, light = pixel.astype(np.float64), line.astype(np.float64), fit.made.light
 
     def cost(step: FloatArray) -> float:
+        if max(float(np.hypot(step[0], step[1])), abs(float(step[2]))) > reach:
+            return np.inf  # no pixels are asked for there
         shape = replace(
             fit.shape, center_px=fit.center_px + step[:2], log_size=fit.shape.log_size + step[2] / radius
         )
