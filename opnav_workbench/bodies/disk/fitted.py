@@ -3,7 +3,7 @@
 Units  px, DN; albedo and columns relative
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -105,6 +105,10 @@ class DiskFit:
         """Covariance of the center (2, 2), marginal over all else."""
         own = self.excess * self.scatter * self.solution.covariance[np.ix_(CENTER, CENTER)]
         return np.asarray(own + self.unrest_px2)
+
+    def less_sure(self, covariance_px2: FloatArray) -> "DiskFit":
+        """Return the fit with so much more (2, 2) in the center's covariance."""
+        return replace(self, unrest_px2=self.unrest_px2 + covariance_px2)
 
     def light_dn(self) -> FloatArray:
         """Return the light (n,) of the disk at its pixels, DN, for a uniform albedo, as it was tabulated."""

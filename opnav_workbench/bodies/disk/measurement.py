@@ -192,10 +192,8 @@ def _fitted(
     return _as_hidden_as_it_is(picture, fit), pixels, hits, crossing
 
 
-HIDDEN_LIMB, HIDDEN_PLACE = (
-    0.15,
-    0.3,
-)  # of a turn; of the radius: 15 such bodies of two sets lay within 2.1 sigma
+# Of a turn; of the radius: 15 such bodies of two sets lay within 2.1 sigma.
+HIDDEN_LIMB, HIDDEN_PLACE = 0.15, 0.3
 
 
 def _as_hidden_as_it_is(picture: BodyPicture, fit: DiskFit) -> DiskFit:
@@ -206,7 +204,7 @@ def _as_hidden_as_it_is(picture: BodyPicture, fit: DiskFit) -> DiskFit:
     if picture.spilled is None or fit.lit_share > HIDDEN_LIMB:
         return fit
     hidden_px = HIDDEN_PLACE * 0.5 * fit.outline.diameter_px
-    return replace(fit, unrest_px2=fit.unrest_px2 + hidden_px**2 * np.eye(2))
+    return fit.less_sure(hidden_px**2 * np.eye(2))
 
 
 def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
@@ -223,7 +221,7 @@ def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:
     except CenterfindingError:
         return disk
     away = WANDERED_SHARE * (fit.center_px - disk.fit.center_px)
-    fit = replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away))
+    fit = fit.less_sure(np.outer(away, away))
     return replace(disk, place=place, fit=fit, pixels=pixels, hits=hits, crossing=crossing)
 
 
@@ -463,7 +461,7 @@ def _along_its_light(
     if alike(other, reading):
         return found
     away = WANDERED_SHARE * (other.center_px - fit.center_px)
-    return replace(fit, unrest_px2=fit.unrest_px2 + np.outer(away, away)), crossing
+    return fit.less_sure(np.outer(away, away)), crossing
 
 
 UNEXPLAINED = 1.2  # chi-squared: of 80 surfaces, right centers had at most 1.16
@@ -487,8 +485,10 @@ def _from_the_sky(
         seen_ratio=size,
         seen_sigma=SKY_SIZE_SIGMA,
     )
-    found = _fit_from(picture, name, place, pixels)
-    return (fit, crossing) if found is None or not _explains(found[0], fit) else found
+    other = _fit_from(picture, name, place, pixels)
+    if other is None or not _explains(other, fit):
+        return fit, crossing
+    return other, read_crossings(picture, other)
 
 
 def _explains(other: DiskFit, fit: DiskFit) -> bool:
@@ -504,18 +504,11 @@ def _is_wider(other: DiskFit, fit: DiskFit) -> bool:
 
 
 def _fit_from(
-    picture: BodyPicture,
-    name: str,
-    place: BodyPlace,
-    pixels: DiskPixels,
-    start: DiskFit | None = None,
-    *,
-    follows_light: bool = False,
-) -> tuple[DiskFit, CrossingFit | None] | None:
-    """Return a fit and its crossings; None where there can be none."""
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, followed: DiskFit | None = None
+) -> DiskFit | None:
+    """Return a fit, one that goes on along its own light from another if that is given; None where there can be none."""
     try:
-        fit = fit_disk(picture, name, place, pixels, start, follows_light=follows_light)
-        return fit, read_crossings(picture, fit)
+        return fit_disk(picture, name, place, pixels, followed, follows_light=followed is not None)
     except CenterfindingError:
         return None
 
@@ -533,9 +526,10 @@ def _likelier_one(
 
     One that follows its light goes on from there.
     """
-    start = fit if follows_light else None
-    found = _fit_from(picture, name, place, pixels, start, follows_light=follows_light)
-    return None if found is None or likelier(pixels, fit, found[0]) is fit else found
+    other = _fit_from(picture, name, place, pixels, fit if follows_light else None)
+    if other is None or likelier(pixels, fit, other) is fit:
+        return None
+    return other, read_crossings(picture, other)
 
 
 # Of a disk that is not much wider than the PSF, size, law, patches and place explain each other along a bent valley; a
@@ -566,7 +560,7 @@ def _over_sizes(
     likelihood = np.array([each.solution.log_likelihood for each in (fit, *others)])
     weight = softmax(likelihood / LEVELED)
     away = np.array([each.center_px - fit.center_px for each in (fit, *others)])
-    return replace(fit, unrest_px2=fit.unrest_px2 + (weight * away.T) @ away)
+    return fit.less_sure((weight * away.T) @ away)
 
 
 SCATTERS = np.geomspace(1e-3, 1.0, 25)  # of a surface about its model, relative

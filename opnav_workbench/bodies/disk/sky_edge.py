@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import OptimizeResult, minimize
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.blocks import DiskPixels
@@ -49,7 +49,8 @@ def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]
         square, wide = (data - model) ** 2 / variance, model**2 / variance
         return surprise(square, wide, ALBEDOS)
 
-    found = min((_descended(cost, share * radius, STEP_SHARE * radius) for share in BEGUN_SHARES), key=cost)
+    tried = [_descended(cost, share * radius, STEP_SHARE * radius) for share in BEGUN_SHARES]
+    found = min(tried, key=lambda each: float(each.fun)).x
     return np.asarray(fit.center_px + found[:2]), fit.shape.log_size + float(found[2]) / radius
 
 
@@ -67,14 +68,13 @@ def surprise(square: FloatArray, wide: FloatArray, scatters: Iterable[float]) ->
     return min(of(scatter) for scatter in scatters)
 
 
-def _descended(cost: Callable[[FloatArray], float], grown_px: float, step_px: float) -> FloatArray:
-    """Return the step of center and radius (3,), px, to which a simplex descends from a radius larger by `grown_px`."""
+def _descended(cost: Callable[[FloatArray], float], grown_px: float, step_px: float) -> OptimizeResult:
+    """Return to which step of center and radius (3,), px, a simplex descends from a radius larger by `grown_px`."""
     begin = np.array([0.0, 0.0, grown_px])
     corners = begin + step_px * np.concatenate([np.zeros((1, 3)), np.eye(3)])
-    found = minimize(
+    return minimize(
         cost,
         begin,
         method="Nelder-Mead",
         options={"initial_simplex": corners, "xatol": CLOSE_PX, "fatol": CLOSE_COST, "maxfev": MOST_CALLS},
     )
-    return np.asarray(found.x)
