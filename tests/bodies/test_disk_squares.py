@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.bodies.disk.blocks import DiskPixels, PixelSquares, limb_samples
-from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
+from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places, square_corners
 from opnav_workbench.bodies.disk.limb_light import limb_light
 from opnav_workbench.bodies.silhouette import Silhouette
 
@@ -59,7 +59,8 @@ def test_the_light_of_a_square_is_that_of_its_pixels(disk):
         PixelSquares(pixels_of(light), outline, 30.0), outline, INWARD_PX, OUTWARD_PX, SHARP_PX
     )
     places = samples.places
-    model = tables.over(places.angle_rad, places.depth_px, samples.spread_px)[1][0]
+    corners = square_corners(outline, places, samples.spread_px)
+    model = tables.over(places.angle_rad, places.depth_px, corners)[1][0]
     scale = float(model @ samples.data_dn / (model @ model))
     lit = model > 0.2 * model.max()
     for side in (2.0, 4.0, 8.0):
@@ -72,3 +73,38 @@ def test_the_light_of_a_square_is_that_of_its_pixels(disk):
         assert abs(away.mean()) < abs(off.mean())
     whole = limb_places(outline, places.pixel, places.line)
     np.testing.assert_array_equal(whole.depth_px, places.depth_px)
+
+
+@pytest.mark.parametrize(("diameter", "phase"), [(20.0, 80.0), (60.0, 110.0), (300.0, 60.0)])
+def test_the_light_of_a_square_is_that_of_its_pixels_about_the_middle_and_on_the_terminator(
+    body_stage, diameter, phase
+):
+    """There rays turn in a square, and light ends in it: with means over depths alone, disks of 20 px were 5 sigma off."""
+    model = body_stage.body(diameter, phase, CENTER)
+    light = body_stage.light(model)
+    picture = body_stage.picture(light, [model], np.random.default_rng(1))
+    outline = Silhouette(picture, "BODY").at(CENTER)
+    inward = min(0.5 * diameter, INWARD_PX)
+    nodes = np.linspace(0.0, 0.5, 5)
+    tables = limb_light(
+        picture,
+        "BODY",
+        outline,
+        1.0,
+        (inward + 4.0, OUTWARD_PX + 4.0),
+        nodes,
+        np.zeros(2),
+        np.zeros(5),
+        fine=True,
+    )
+    samples = limb_samples(
+        PixelSquares(pixels_of(light), outline, 30.0), outline, inward, OUTWARD_PX, SHARP_PX
+    )
+    places, wide = samples.places, samples.side > 1.0
+    corners = square_corners(outline, places, samples.spread_px)
+    model = tables.over(places.angle_rad, places.depth_px, corners)[1][0]
+    scale = float(model @ samples.data_dn / (model @ model))
+    away = samples.data_dn - scale * model
+    assert wide.any()
+    assert np.abs(away[wide]).max() < 4e-3 * light.max()
+    assert np.sqrt(np.mean(away[wide] ** 2)) < 1e-3 * light.max()

@@ -9,7 +9,7 @@ from disk_truth import TrialSetup, make_trial
 from opnav_workbench.bodies import find_disk
 from opnav_workbench.bodies.disk.columns import SHADED, DiskShape, Unknown, disk_columns
 from opnav_workbench.bodies.disk.fit import _Fitter
-from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
+from opnav_workbench.bodies.disk.limb_cells import SquareCorners, limb_pixels, limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
 from opnav_workbench.bodies.disk.problem import DiskProblem
@@ -78,15 +78,16 @@ def test_slopes_are_those_of_the_light_that_shares_make_up(body_stage):
     light = limb_light(picture, "BODY", outline, 1.0, (12.0, 8.0), nodes, np.zeros(2), np.zeros(5), fine=True)
     shares = np.zeros(len(PLANES))
     shares[[0, PLANES.index("law")]] = 1.0, 0.4
-    angle, depth, zero = np.linspace(0.0, 6.2, 200), np.linspace(-9.0, 5.0, 200), np.zeros(200)
+    angle, depth = np.linspace(0.0, 6.2, 200), np.linspace(-9.0, 5.0, 200)
+    none = SquareCorners(np.zeros(0, dtype=int), np.zeros((0, 4)), np.zeros((0, 4)))
 
     def beside(turn, step):
         return shares @ light.at(angle + turn, depth + step, len(PLANES))
 
     by_depth = (beside(0.0, 0.25) - beside(0.0, -0.25)) / 0.5
     by_angle = (beside(0.03, 0.0) - beside(-0.03, 0.0)) / 0.06
-    found = light.sloped(shares).over(angle, depth, zero)[0]
-    plain = light.over(angle, depth, zero)[0]
+    found = light.sloped(shares).over(angle, depth, none)[0]
+    plain = light.over(angle, depth, none)[0]
     for own, expected, of_tables in zip(found, (by_depth, by_angle), plain, strict=False):
         error = np.sqrt(np.mean((own - expected) ** 2))
         assert error < 0.05 * np.sqrt(np.mean(expected**2))

@@ -1,7 +1,7 @@
 """The pixels of a picture in squares of 1, 2, 4 and 8, of which a disk takes the larger ones where its light is smooth.
 
-A square's mean of data is compared with the light at two depths, which hold the curvature across the limb; what is left goes
-as the fourth power of side over depth.
+A square's mean of data is compared with the light at four places in it, which hold its curvature; what is left goes as the
+fourth power of side over depth.
 """
 
 from dataclasses import dataclass

@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_cells import LimbPlaces
+from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, square_corners
 from opnav_workbench.bodies.disk.limb_field import piece_angles
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
@@ -140,14 +140,17 @@ def disk_columns(
 ) -> FloatArray:
     """Return the derivatives of the light at n places about an outline of a shape, as `DiskFit.columns` has them.
 
-    `on_slopes` says whether the hats are those of slopes that face the Sun; the light is a mean over depths with `spread_px`
-    (n,) as their sigma.
+    `on_slopes` says whether the hats are those of slopes that face the Sun; the light is a mean over squares whose pixels
+    have `spread_px` (n,) as their standard deviation.
     """
     spread_px = np.zeros_like(near.depth_px) if spread_px is None else spread_px
     waves = Outline.waves(near.angle_rad, made.slant_at(near.angle_rad))
     strain = (shape.strain[:2] - made.strain[:2]) @ waves
     grown = shape.log_size - made.shape.log_size + strain
-    slopes, tables = made.light.over(near.angle_rad, near.depth_px * np.exp(-grown), spread_px)
+    corners = square_corners(outline, near, spread_px)
+    shrunk = np.exp(-grown)
+    corners = corners._replace(depth_px=corners.depth_px * shrunk[corners.of, None])
+    slopes, tables = made.light.over(near.angle_rad, near.depth_px * shrunk, corners)
     slope, turn, by_variance = slopes
     m0, blur, wings, halo, law, law_2, by_cos, by_sin, *shading, relief = tables[:TABLES]
     # Light S that a PSF p of the variance v spreads to L keeps its share of the radius; but p keeps its width, and under a

@@ -5,6 +5,7 @@ compared with the same mean of the model, and nothing is resampled.
 """
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from opnav_workbench.bodies.silhouette import TURN, Outline
 
 __all__ = [
     "LimbPlaces",
+    "SquareCorners",
     "cell_of",
     "depth_edges",
     "gathered",
@@ -20,7 +22,11 @@ __all__ = [
     "limb_pixels",
     "limb_places",
     "piece_of",
+    "square_corners",
 ]
+
+
+CORNERS = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, -1.0, 1.0]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +63,27 @@ class LimbPlaces:
     def in_order(self, order: IntArray) -> "LimbPlaces":
         """Return the same places in another order (n,)."""
         return LimbPlaces(*(getattr(self, each.name)[order] for each in fields(self)))
+
+
+class SquareCorners(NamedTuple):
+    """Four places in each of m squares, whose mean is the square's of what is cubic across it: `of` (m,) says which squares.
+
+    `angle_rad` and `depth_px` are (m, 4).
+    """
+
+    of: IntArray
+    angle_rad: FloatArray
+    depth_px: FloatArray
+
+
+def square_corners(outline: Outline, middles: LimbPlaces, spread_px: FloatArray) -> SquareCorners:
+    """Return the corners of squares whose pixels have `spread_px` (n,) as their standard deviation; of a pixel none."""
+    wide = np.flatnonzero(spread_px)
+    spread = spread_px[wide, None]
+    x = middles.pixel[wide, None] + spread * CORNERS[0] - outline.center_px[0]
+    y = middles.line[wide, None] + spread * CORNERS[1] - outline.center_px[1]
+    angle = np.arctan2(y, x)
+    return SquareCorners(wide, angle, np.asarray(np.hypot(x, y) - _outline_at(outline, angle)[0]))
 
 
 def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPlaces:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies.disk.limb_cells import SquareCorners
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes, strain_matrix
@@ -130,25 +131,24 @@ class LimbLight:
         return self._looked_up(angle_rad, depth_px, self.tables[..., :first])
 
     def over(
-        self, angle_rad: FloatArray, depth_px: FloatArray, spread_px: FloatArray
+        self, angle_rad: FloatArray, depth_px: FloatArray, corners: SquareCorners
     ) -> tuple[FloatArray, FloatArray]:
-        """Return slopes (3, m) and tables (p, m) as means over depths that have `spread_px` (m,) as their sigma.
-
-        Two points hold it.
-        """
+        """Return slopes (3, m) and tables (p, m) at places, or as means over their corners where they have some."""
         both = self.slopes, self.tables
-        wide = np.nonzero(spread_px)[0]
-        out = self._looked_up(angle_rad, depth_px - spread_px, *both)
-        if len(wide):
-            out[:, wide] += self._looked_up(angle_rad[wide], depth_px[wide] + spread_px[wide], *both)
-            out[:, wide] *= 0.5
+        out = np.empty((len(SLOPES) + self.tables.shape[-1], len(depth_px)))
+        single = np.ones(len(depth_px), dtype=bool)
+        single[corners.of] = False
+        out[:, single] = self._looked_up(angle_rad[single], depth_px[single], *both)
+        if len(corners.of):
+            out[:, corners.of] = self._looked_up(corners.angle_rad, corners.depth_px, *both)
         return out[: len(SLOPES)], out[len(SLOPES) :]
 
     def _looked_up(self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray) -> FloatArray:
-        """Return planes (t, n, p) at m places, one below the other (p, m)."""
+        """Return planes (t, n, p), one below the other, at m places (m,), or as means over k (m, k): (p, m)."""
         t, n, _ = self.tables.shape
-        row = np.mod(angle_rad, TURN) * (t / TURN)
-        column = np.clip((depth_px - self.first_px) / self.step_px, 0.0, n - 1.000001)
+        m = len(angle_rad)
+        row = np.mod(angle_rad.reshape(-1), TURN) * (t / TURN)
+        column = np.clip((depth_px.reshape(-1) - self.first_px) / self.step_px, 0.0, n - 1.000001)
         i, j = row.astype(np.int64), column.astype(np.int64)
         along, part = column - j, row - i
         rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
@@ -159,10 +159,11 @@ class LimbLight:
             index[:, k, 0] = (i + jump) % t * n + j
             weight[:, k, 0], weight[:, k, 1] = share * (1.0 - along), share * along
         np.add(index[..., 0], 1, out=index[..., 1])
-        ends = np.arange(len(row) + 1) * (2 * len(rows))
-        lookup = sparse.csr_array((weight.ravel(), index.ravel(), ends), shape=(len(row), t * n))
+        each = len(row) // max(m, 1)
+        ends = np.arange(m + 1) * (2 * len(rows) * each)
+        lookup = sparse.csr_array((weight.ravel() / each, index.ravel(), ends), shape=(m, t * n))
         found = [(lookup @ plane.reshape(t * n, -1)).T for plane in planes]
-        return np.concatenate(found, out=np.empty((sum(map(len, found)), len(row))))
+        return np.concatenate(found, out=np.empty((sum(map(len, found)), m)))
 
 
 def cubic_weights(part: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
