@@ -204,8 +204,9 @@ class TargetSurface(StrictModel):
         Saturn; larger moons are smoother, small asteroids rougher by far. One that shows to be more than three times as
         rough is fitted as rough as it shows.
     albedo_sigma
-        1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2 or a part of that, as a
-        picture of the disk has it; with an albedo map 0.05. It makes most of the uncertainty of a center of a few pixels.
+        1 sigma of what whole hemispheres differ by in brightness, as a part of it: by default 0.2, or from a small part of
+        that to 0.5 as a picture of the disk has it; with an albedo map 0.05. It makes most of the uncertainty of a center of
+        a few pixels.
     law_sigma
         1 sigma of how far the scattering law may lie from `law` toward Lommel-Seeliger's, as a part of the way from
         Lambert's to it: by default 0.3; without a law it lies anywhere between both.

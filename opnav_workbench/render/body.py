@@ -31,6 +31,7 @@ LARGEST_SIGMA = 0.9  # what a part of a radius can be uncertain by
 # Even in the logarithm, down to 0.08 and 0.04 %: as well as spacecraft that passed by have measured large bodies
 # (Archinal et al. 2018, doi:10.1007/s10569-017-9805-5: 0.07 % for Pluto, 0.08 % for Rhea).
 SCALES = (1.0, 0.2, 0.04, 0.008)
+WILDEST_ALBEDO = 2.5  # of what is usual, as hemispheres of Iapetus differ
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class FigureUncertainty:
     The defaults suit a first approach, where size and shape come from brightness and light curves. Of size and axes they say
     that nobody has stated how well they are known: then smaller scales, down to those of a figure that was measured before,
     are held to be as likely, and a picture of the disk weighs them (`size_scales`, `axes_scales`); so it does with what
-    hemispheres differ by (`albedo_scales`). What is stated is believed as it is.
+    hemispheres differ by, which may be more as well (`albedo_scales`). What is stated is believed as it is.
 
     Attributes
     ----------
@@ -91,7 +92,8 @@ class FigureUncertainty:
     @property
     def albedo_scales(self) -> tuple[float, ...]:
         """Sigmas that hemispheres may differ by, the largest first; one if it is stated."""
-        return _scales(self.albedo_sigma, UNSTATED_ALBEDO)
+        scales = _scales(self.albedo_sigma, UNSTATED_ALBEDO)
+        return scales if len(scales) == 1 else (WILDEST_ALBEDO * self.albedo_sigma, *scales)
 
 
 def _scales(sigma: float, unstated: float) -> tuple[float, ...]:

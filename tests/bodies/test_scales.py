@@ -65,6 +65,8 @@ def test_what_nothing_tells_stays_finite():
 def test_scales_stand_for_what_nobody_stated():
     assert FigureUncertainty().size_scales == pytest.approx((0.1, 0.02, 0.004, 0.0008))
     assert FigureUncertainty().axes_scales == pytest.approx((0.05, 0.01, 0.002, 0.0004))
+    assert FigureUncertainty().albedo_scales == pytest.approx((0.5, 0.2, 0.04, 0.008, 0.0016))
+    assert FigureUncertainty(albedo_sigma=0.1).albedo_scales == (0.1,)
     stated = FigureUncertainty(size_sigma=0.03)
     assert stated.size_scales == (0.03,)
     assert len(stated.axes_scales) == 4

@@ -128,7 +128,7 @@ class LimbLight:
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
         """Return the tables, or as many of them as `first` says, at m places as (p, m)."""
-        return self._looked_up(angle_rad, depth_px, self.tables[..., :first])
+        return self._looked_up(angle_rad, depth_px, self.tables[..., :first], cubic=self.fine)
 
     def over(
         self, angle_rad: FloatArray, depth_px: FloatArray, corners: SquareCorners
@@ -138,12 +138,14 @@ class LimbLight:
         out = np.empty((len(SLOPES) + self.tables.shape[-1], len(depth_px)))
         single = np.ones(len(depth_px), dtype=bool)
         single[corners.of] = False
-        out[:, single] = self._looked_up(angle_rad[single], depth_px[single], *both)
-        if len(corners.of):
-            out[:, corners.of] = self._looked_up(corners.angle_rad, corners.depth_px, *both)
+        out[:, single] = self._looked_up(angle_rad[single], depth_px[single], *both, cubic=self.fine)
+        if len(corners.of):  # where light is smooth
+            out[:, corners.of] = self._looked_up(corners.angle_rad, corners.depth_px, *both, cubic=False)
         return out[: len(SLOPES)], out[len(SLOPES) :]
 
-    def _looked_up(self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray) -> FloatArray:
+    def _looked_up(
+        self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray, cubic: bool
+    ) -> FloatArray:
         """Return planes (t, n, p), one below the other, at m places (m,), or as means over k (m, k): (p, m)."""
         t, n, _ = self.tables.shape
         m = len(angle_rad)
@@ -151,8 +153,9 @@ class LimbLight:
         column = np.clip((depth_px.reshape(-1) - self.first_px) / self.step_px, 0.0, n - 1.000001)
         i, j = row.astype(np.int64), column.astype(np.int64)
         along, part = column - j, row - i
-        rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
-        rows = rows if self.fine else [(0, 1.0 - part), (1, part)]
+        rows = [(0, 1.0 - part), (1, part)]
+        if cubic:
+            rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
         index = np.empty((len(row), len(rows), 2), dtype=np.int64)
         weight = np.empty(index.shape)
         for k, (jump, share) in enumerate(rows):
