@@ -115,6 +115,7 @@ def crossing_reading(
         place, covariance = start.center_px, crossing_covariance(start.center_sigma_px**2 * np.eye(2))
     else:
         return None
+    covariance = covariance + disk.hidden_px2
     return second_reading("limb crossings", place, covariance, first_px, first_covariance_px2)
 
 

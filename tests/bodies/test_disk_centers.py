@@ -155,11 +155,9 @@ def test_a_picture_tells_what_hemispheres_differ_by(body_stage):
     nodes = system.brightness_dn * modes @ np.random.default_rng(4).normal(size=modes.shape[-1])
     apart = replace(system, data=system.data + np.einsum("jk,kjc->jc", nodes, system.own[:-1]))
     wide = replace(fits[0].prior, albedo=0.15, hemispheres=1.0)
-    wild = replace(apart, data=system.data + 3.0 * (apart.data - system.data))
-    found = [tuned(one, wide, wide.rough_px, (0.008, 2.5)).prior.hemispheres for one in (system, apart, wild)]
+    found = [tuned(one, wide, wide.rough_px, 0.008).prior.hemispheres for one in (system, apart)]
     assert found[0] < 0.05
-    assert 0.3 < found[1] < 2.0
-    assert found[2] > 2.0  # as of Iapetus
+    assert found[1] > 0.3
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_slopes_are_those_of_the_likelihood(system, prior):
 def test_nothing_near_a_tuned_prior_is_likelier(system):
     """But for what is not worth a step; what far starts end at is as likely: hemispheres may have two tops."""
     starts = [FieldPrior(0.15, 0.5, 0.02, 0.05), FieldPrior(0.6, 0.2, 0.1, 0.2)]
-    found = [tuned(system, start, 0.05, (0.008, 1.0)) for start in starts]
+    found = [tuned(system, start, 0.05, 0.008) for start in starts]
     assert found[0].cost == pytest.approx(found[1].cost, abs=1.5)
     at = found[0].prior.logarithms()
     usual = np.append(np.log([0.1, 0.4, 0.01, 0.05]), 0.0)
@@ -70,5 +70,5 @@ def test_a_brighter_picture_of_the_same_surface_has_the_same_prior(system):
         brightness_dn=scale * system.brightness_dn,
     )
     start = FieldPrior(0.15, 0.5, 0.02, 0.05)
-    one, other = (tuned(s, start, 0.05, (0.008, 1.0)).prior.logarithms() for s in (system, brighter))
+    one, other = (tuned(s, start, 0.05, 0.008).prior.logarithms() for s in (system, brighter))
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-3)

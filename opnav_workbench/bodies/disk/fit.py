@@ -384,8 +384,7 @@ class _Fitter:
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
-        least, most = float(problem.hemispheres.min()), float(problem.hemispheres.max())
-        return tuned(self.linear.system, self.prior, problem.rough_px, (least, most))
+        return tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""

@@ -112,6 +112,11 @@ class MeasuredDisk:
         return np.zeros((2, 2)) if self.crossing is None else self.crossing.relief_px2
 
     @property
+    def hidden_px2(self) -> FloatArray:
+        """Covariance (2, 2) of the center by what charge hides of an overexposed body."""
+        return _hidden_px2(self.picture, self.fit)
+
+    @property
     def expected_px(self) -> FloatArray:
         """Where the body was looked for (2,)."""
         return self.picture.center_px(self.name) if self.circle is None else self.circle.center_px
@@ -189,22 +194,22 @@ def _fitted(
         if fit.chi2_reduced > UNEXPLAINED and picture.spilled is None:  # else charge is about it, and no sky
             fit, crossing = _from_the_sky(picture, name, pixels, fit, crossing)
         fit = _over_sizes(picture, name, place, pixels, fit)
-    return _as_hidden_as_it_is(picture, fit), pixels, hits, crossing
+    return fit.less_sure(_hidden_px2(picture, fit)), pixels, hits, crossing
 
 
-# Of a turn; of the radius: 15 such bodies of two sets lay within 2.1 sigma.
-HIDDEN_LIMB, HIDDEN_PLACE = 0.15, 0.3
+# Of a turn; of the radius, where no limb is seen at all.
+HIDDEN_LIMB, HIDDEN_PLACE = 0.15, 0.6
 
 
-def _as_hidden_as_it_is(picture: BodyPicture, fit: DiskFit) -> DiskFit:
-    """Return the fit of an overexposed body with what its charge hides in the covariance, where hardly any limb is seen.
+def _hidden_px2(picture: BodyPicture, fit: DiskFit) -> FloatArray:
+    """Return what charge hides of the center (2, 2) of an overexposed body of which it leaves hardly any limb.
 
-    It lies in that charge, its wings tell about where; a fit of a few pixels beside it knows nothing of that.
+    The body lies in that charge, its wings tell about where; no reading of a few pixels beside it knows anything of that.
     """
     if picture.spilled is None or fit.lit_share > HIDDEN_LIMB:
-        return fit
-    hidden_px = HIDDEN_PLACE * 0.5 * fit.outline.diameter_px
-    return fit.less_sure(hidden_px**2 * np.eye(2))
+        return np.zeros((2, 2))
+    share = HIDDEN_PLACE * (1.0 - 0.5 * fit.lit_share / HIDDEN_LIMB)
+    return np.asarray((share * 0.5 * fit.outline.diameter_px) ** 2 * np.eye(2))
 
 
 def _as_rough_as_it_shows(disk: MeasuredDisk, method: str) -> MeasuredDisk:

@@ -41,17 +41,15 @@ class _Slope(NamedTuple):
     curvature: FloatArray
 
 
-def tuned(
-    system: LimbSystem, start: FieldPrior, rough_px: float, hemispheres: tuple[float, float]
-) -> TunedPrior:
+def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, least_hemispheres: float) -> TunedPrior:
     """Return the prior of greatest marginal likelihood, with the light that `start` has its albedo on.
 
-    `FieldPrior.hemispheres` lies between two, every doubling as likely.
+    `FieldPrior.hemispheres` lies between the least and 1, every doubling as likely.
     """
     usual = np.append(USUAL, [np.log(rough_px), 0.0])
     bounds = usual + np.multiply.outer([-WIDEST, WIDEST], np.minimum(VARIETY, 1e3))
     bounds[:, :3] = np.maximum(bounds[0, :3], LEAST), np.minimum(bounds[1, :3], MOST)
-    bounds[:, 4] = np.log(hemispheres)
+    bounds[:, 4] = np.log(least_hemispheres), 0.0
 
     def slope(x: FloatArray) -> _Slope:
         prior = FieldPrior.from_logarithms(x, on_slopes=start.on_slopes)
