@@ -92,12 +92,11 @@ class FigureUncertainty:
     @property
     def albedo_scales(self) -> tuple[float, ...]:
         """Sigmas that hemispheres may differ by, the largest first; one if it is stated."""
-        scales = _scales(self.albedo_sigma, UNSTATED_ALBEDO)
-        return scales if len(scales) == 1 else (WILDEST_ALBEDO * self.albedo_sigma, *scales)
+        return _scales(self.albedo_sigma, UNSTATED_ALBEDO, (WILDEST_ALBEDO, *SCALES))
 
 
-def _scales(sigma: float, unstated: float) -> tuple[float, ...]:
-    return tuple(sigma * share for share in SCALES) if sigma == unstated else (sigma,)
+def _scales(sigma: float, unstated: float, shares: tuple[float, ...] = SCALES) -> tuple[float, ...]:
+    return tuple(sigma * share for share in shares) if sigma == unstated else (sigma,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ __all__ = [
     "square_corners",
 ]
 
-
+# Of a square along pixel and along line, in standard deviations of its pixels.
 CORNERS = np.array([[-1.0, -1.0, 1.0, 1.0], [-1.0, 1.0, -1.0, 1.0]])
 
 
@@ -80,10 +80,11 @@ def square_corners(outline: Outline, middles: LimbPlaces, spread_px: FloatArray)
     """Return the corners of squares whose pixels have `spread_px` (n,) as their standard deviation; of a pixel none."""
     wide = np.flatnonzero(spread_px)
     spread = spread_px[wide, None]
-    x = middles.pixel[wide, None] + spread * CORNERS[0] - outline.center_px[0]
-    y = middles.line[wide, None] + spread * CORNERS[1] - outline.center_px[1]
-    angle = np.arctan2(y, x)
-    return SquareCorners(wide, angle, np.asarray(np.hypot(x, y) - _outline_at(outline, angle)[0]))
+    x, y = (
+        at[wide, None] + spread * sign
+        for at, sign in zip((middles.pixel, middles.line), CORNERS, strict=True)
+    )
+    return SquareCorners(wide, *_angle_and_depth(outline, x, y))
 
 
 def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPlaces:
@@ -104,8 +105,13 @@ def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outw
 
 def limb_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
     """Return how far outside of the limb (n,) places of the detector are, along rays from the center."""
+    return _angle_and_depth(outline, x_px, y_px)[1]
+
+
+def _angle_and_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y = x_px - outline.center_px[0], y_px - outline.center_px[1]
-    return np.asarray(np.hypot(x, y) - _outline_at(outline, np.arctan2(y, x))[0])
+    angle = np.arctan2(y, x)
+    return angle, np.asarray(np.hypot(x, y) - _outline_at(outline, angle)[0])
 
 
 def limb_places(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> LimbPlaces:
