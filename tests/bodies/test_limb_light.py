@@ -94,6 +94,23 @@ def test_slopes_are_those_of_the_light_that_shares_make_up(body_stage):
         assert error < 0.2 * np.sqrt(np.mean((of_tables - expected) ** 2))
 
 
+def test_a_larger_disk_is_distorted_as_its_camera_has_it(body_stage):
+    """Its outline was that of the expected size made larger, with the distortion that belongs to the smaller one."""
+    center = np.array([330.3, 640.8])
+    model = body_stage.body(560.0, 30.0, center, axes=(1.1, 1.0, 0.9))
+    picture = body_stage.picture(body_stage.light(model), [model])
+    place = BodyPlace(center, 1.0, 1.0)
+    problem = DiskProblem(picture, "BODY", _usable(picture, "BODY", place), place)
+    shape = DiskShape(center, 0.09, np.zeros(5), np.zeros(2), 0.0, np.zeros(problem.pieces))
+    made = problem.tabulated(shape)
+    silhouette = Silhouette(picture, "BODY")
+    expected = silhouette.at(center, np.exp(-0.09)).radius_px
+    assert np.abs(np.exp(0.09) * silhouette.at(center).radius_px - expected).max() > 0.02
+    np.testing.assert_allclose(made.outline(shape).radius_px, expected, rtol=0, atol=1e-9)
+    near = made.outline(replace(shape, log_size=0.095)).radius_px
+    np.testing.assert_allclose(near, silhouette.at(center, np.exp(-0.095)).radius_px, rtol=0, atol=0.004)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter", "phase", "axes"), [(18.0, 120.0, (1.0, 1.0, 1.0)), (50.0, 80.0, (1.12, 1.0, 0.88))]
@@ -207,6 +224,15 @@ def test_edges_within_pieces_of_limb_draw_no_center_along():
                 figure_pattern=(1.0, -0.6, -0.3), peak_dn=1500.0, psf="width", displacement_px=3.0,
             ),
             0.3,
+        ),
+        # 0.23 px off and 5 sigma: ever smaller steps, along the slopes of a law that the fit had left; and an outline as
+        # distorted as that of a disk that is 10 % smaller.
+        (
+            TrialSetup(
+                2103796687, 652.82, 36.64, family="uniform", contrast=1.0, law="lambert", axes=(1.12, 1.0, 0.88),
+                figure_error=0.0963, peak_dn=1388.2, psf="wings", displacement_px=132.8,
+            ),
+            0.06,
         ),
     ],
 )  # fmt: skip

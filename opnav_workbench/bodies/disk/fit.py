@@ -30,8 +30,9 @@ from opnav_workbench.bodies.disk.columns import (
     disk_columns,
 )
 from opnav_workbench.bodies.disk.fitted import DiskFit
-from opnav_workbench.bodies.disk.limb_cells import cell_of, gathered, limb_pixels, limb_places
-from opnav_workbench.bodies.disk.limb_field import FieldPrior, piece_angles
+from opnav_workbench.bodies.disk.limb_cells import cell_of, gathered, limb_pixels, limb_places, piece_angles
+from opnav_workbench.bodies.disk.limb_field import FieldPrior
+from opnav_workbench.bodies.disk.limb_light import Patches
 from opnav_workbench.bodies.disk.limb_scatter import limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.disk.problem import LIT_LIMB, DiskProblem
@@ -85,6 +86,9 @@ class Changes(NamedTuple):
 
 # Light is linear in the share, but for an albedo that is on it: what counts is the product of both.
 NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.006, 0.05)
+UNRESTED = Changes(
+    0.003, 0.01, 0.001, 0.0015, 0.01
+)  # for a fit that did not come to rest: steps follow the tables' slopes
 EVEN_ALBEDO = 0.05  # and noise changes with the share
 
 
@@ -252,20 +256,20 @@ class _Fitter:
 
     def run(self, most_fine: int) -> DiskFit:
         """Go on with fine light, which is tabulated so many times at the most."""
-        tabled, anew = self._state(), True
+        tabled, anew, bounds = self._state(), True, LAST
         for turn in range(most_fine):
             light, then = self.made.light, self.made.shape
-            if not light.fine or self._stale(LAST):
+            if not light.fine or self._stale(bounds):
                 if not self._tabulate(fine=True) and light.fine:
                     # Light that tables are extrapolated to led away from every one of them.
                     self._wander_back(tabled)
                     self._solve()
                     break  # no other light explains more
-                tabled, anew = self._state(), not light.fine or self._differ(LAST, self.made.shape, then)
+                tabled, anew = self._state(), not light.fine or self._differ(bounds, self.made.shape, then)
             if turn < MOST_TUNED:
                 self._tune(other_light=self.made.light.on_slopes is None)
-            self._iterate(MOST_TURNS)
-            if not (anew and self._stale(LAST)):
+            bounds = LAST if self._iterate(MOST_TURNS) else UNRESTED
+            if not (anew and self._stale(bounds)):
                 break
         return self._result()
 
@@ -430,8 +434,10 @@ class _Fitter:
         self.patchy = self._patchiness(linear.celled, linear.columns)
         self._solve_at(linear.celled, linear.columns)
 
-    def _iterate(self, most: int) -> None:
+    def _iterate(self, most: int) -> bool:
         """Move until nothing moves any more, `most` times at the most, and return to the best place that was passed.
+
+        It tells whether that was where nothing moves.
 
         One that goes on wandering by less than its sigma is as good as settled: how far is in its covariance.
 
@@ -439,7 +445,7 @@ class _Fitter:
         """
         self._reweigh()
         best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
-        passed, uphill = [], 0
+        passed, uphill, rests = [], 0, False
         for _ in range(most):
             length, lower = self._step()
             self.lengths.append(length)
@@ -450,7 +456,8 @@ class _Fitter:
                 best = self._state()
             fine = self.made.light.fine
             still = (STILL_PX, STILL_SIGMAS) if fine else (COARSE_PX, COARSE_SIGMAS)
-            if uphill == MOST_UPHILL or self._wanted_px() < self._slack_px(*still):
+            rests = self._wanted_px() < self._slack_px(*still)
+            if rests or uphill == MOST_UPHILL:
                 break
         if self.linear.solution.held_cost > best.linear.solution.held_cost + self._lost():
             self._wander_back(best)
@@ -460,6 +467,7 @@ class _Fitter:
             self.unrest_px2 = _spread(passed[len(passed) // 2 :], self.shape.center_px)
             settled = self._slack_px(NEAR_PX, 1.0) ** 2 > float(np.trace(self.unrest_px2))
         self.converged = lit and settled
+        return rests
 
     def _lost(self) -> float:
         """Return by how much a cost may grow with new weights, or new tables, of the same fit."""
@@ -506,6 +514,7 @@ class _Fitter:
         and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
         """
         kept, then, now = self._state(), self.made.shape, self.shape
+        patches = self._patches()
         for share in HALFWAY:
             self.shape = replace(
                 now,
@@ -515,7 +524,10 @@ class _Fitter:
             )
             both = fine and not self.made.light.fine  # which light the albedo is on is asked once more
             self.made = self.problem.tabulated(
-                self.shape, fine=fine, on_slopes=None if both else self.prior.on_slopes
+                self.shape,
+                fine=fine,
+                on_slopes=None if both else self.prior.on_slopes,
+                patches=patches,
             )
             self._solve()
             self._reweigh()
@@ -527,6 +539,12 @@ class _Fitter:
             self.refused = now
             self._return_to(kept)
         return False
+
+    def _patches(self) -> Patches:
+        """Return the surface that the solution means."""
+        solution = self.linear.solution
+        mean = float(solution.theta[Unknown.BRIGHTNESS]) / self.brightness
+        return Patches(mean, solution.nodes[:, :-1] / self.brightness, self.prior.on_slopes)
 
     def _return_to(self, state: _FitState) -> None:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state

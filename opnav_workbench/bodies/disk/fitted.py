@@ -20,8 +20,8 @@ from opnav_workbench.bodies.disk.columns import (
     TabulatedDisk,
     Unknown,
 )
-from opnav_workbench.bodies.disk.limb_cells import LimbPlaces
-from opnav_workbench.bodies.disk.limb_field import FieldPrior, piece_angles
+from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, piece_angles
+from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import TURN, Outline

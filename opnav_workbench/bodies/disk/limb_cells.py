@@ -21,6 +21,7 @@ __all__ = [
     "limb_depth",
     "limb_pixels",
     "limb_places",
+    "piece_angles",
     "piece_of",
     "square_corners",
 ]
@@ -153,6 +154,11 @@ def depth_edges(inward_px: float, outward_px: float, sharp_px: float) -> FloatAr
 def piece_of(angle_rad: FloatArray, pieces: int) -> IntArray:
     """Return the piece of limb (n,) at each angle."""
     return np.asarray(np.floor(np.mod(angle_rad, TURN) * (pieces / TURN)).astype(np.int64) % pieces)
+
+
+def piece_angles(n: int) -> FloatArray:
+    """Return the middles (n,) of pieces of limb, rad."""
+    return np.asarray((np.arange(n) + 0.5) * (TURN / n))
 
 
 def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:

@@ -16,10 +16,11 @@ import numpy as np
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.crossings import RELIEF_RAD
 from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo, hidden_albedo
+from opnav_workbench.bodies.disk.limb_cells import piece_angles
 from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
 from opnav_workbench.bodies.silhouette import TURN
 
-__all__ = ["BLOCK", "FieldPrior", "LimbField", "limb_field", "piece_angles"]
+__all__ = ["BLOCK", "FieldPrior", "LimbField", "limb_field"]
 
 BLOCK = 4  # pieces: with their neighbors they hold distances up to 7
 BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot tell that from another center
@@ -144,11 +145,6 @@ def limb_field(
     modes = hemispheres * _broad_modes(place.reshape(-1, 3))
     hidden = hidden_albedo(radius_px, width_px, node_rad, pieces)
     return LimbField(place, modes.reshape(*place.shape[:2], -1), hidden)
-
-
-def piece_angles(n: int) -> FloatArray:
-    """Return the middles (n,) of pieces of limb, rad."""
-    return np.asarray((np.arange(n) + 0.5) * (TURN / n))
 
 
 def _broad_modes(place: FloatArray) -> FloatArray:

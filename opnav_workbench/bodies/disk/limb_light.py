@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_cells import SquareCorners
+from opnav_workbench.bodies.disk.limb_cells import SquareCorners, piece_angles
+from opnav_workbench.bodies.disk.stray_light import stray_light
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
 from opnav_workbench.bodies.strained import STRAINS, strain_axes, strain_matrix
@@ -34,7 +35,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, Minnaert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "cell_means", "hats", "limb_light", "own_law", "psf_variance"]
+__all__ = ["PLANES", "LimbLight", "Patches", "cell_means", "hats", "limb_light", "own_law", "psf_variance"]
 
 PLANES = (
     "light", "blur", "wings", "halo",
@@ -66,7 +67,14 @@ COSINE_STEP = 1e-3
 CELL_VARIANCE, LINEAR_VARIANCE, SPLINE_VARIANCE = 1.0 / 12.0, 1.0 / 6.0, 1.0 / 3.0
 RELIEF = 0.2  # sine of the slopes that terrain has
 MOST_SHARPENED = 4.0  # logarithm, of a spectrum
-WING_PX = (2.0, 8.0)  # scales of the light that a PSF may have beside what is known of it
+
+
+class Patches(NamedTuple):
+    """Brightness of a surface over that of tables: of all of it; by albedo (j, k) at pieces and arcs, on slopes or not."""
+
+    mean: float
+    nodes: FloatArray
+    on_slopes: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,6 +208,7 @@ def limb_light(
     *,
     fine: bool = False,
     on_slopes: bool | None = None,
+    patches: Patches | None = None,
 ) -> LimbLight:
     """Tabulate the light of a body about its outline.
 
@@ -221,6 +230,8 @@ def limb_light(
         As the last solution needs it.
     on_slopes
         Which light the albedo is relative to; None: hats of both are tabulated.
+    patches
+        Of the surface, as far as it is known, for the stray light beside it.
     """
     step, fewest, most, apart = FINE if fine else COARSE
     if picture.phase_rad(name) > CRESCENT_RAD:
@@ -242,13 +253,28 @@ def limb_light(
     tables[1:3] -= law_means[:, None, None] * total
     limb = outline.radius(angle)
     slopes = _steepness(total, limb, float(first), step)
-    wide = [_widened(total, step, scale) - total for scale in WING_PX]
-    every = np.concatenate([np.stack([total, slopes[..., 2], *wide]), tables[1:]])
-    kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     variance = psf_variance(picture.psf, blur_px2)
+    patched = (
+        total if patches is None else _patched(total, tables[1 + LINEAR :], patches, both=on_slopes is None)
+    )
+    stray = stray_light(total, patched, limb, float(first), step, float(np.sqrt(variance)))
+    every = np.concatenate([np.stack([total, slopes[..., 2], *stray]), tables[1:]])
+    kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     return LimbLight(
         float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance, limb, slopes
     )
+
+
+def _patched(
+    even: NDArray[np.floating], hats: NDArray[np.floating], patches: Patches, *, both: bool
+) -> NDArray[np.floating]:
+    """Return the light (t, n) of a surface with patches, whose hats are (k, t, n) or (2 k, t, n)."""
+    t, k = len(even), patches.nodes.shape[1]
+    first = k * (both and patches.on_slopes)
+    angle, middle = TURN / t * np.arange(t), piece_angles(len(patches.nodes))
+    nodes = np.stack([np.interp(angle, middle, node, period=TURN) for node in patches.nodes.T])
+    light = patches.mean * even + np.einsum("kt,ktn->tn", nodes, hats[first : first + k])
+    return np.asarray(np.maximum(light, 0.0))
 
 
 def _steepness(light: FloatArray, limb_px: FloatArray, first_px: float, step_px: float) -> FloatArray:
@@ -640,14 +666,3 @@ def _spline_lookup(line: FloatArray, pixel: FloatArray, size: int) -> sparse.csr
     weight = down[:, None] * along[None]
     places = (weight.transpose(2, 0, 1).ravel(), index.transpose(2, 0, 1).ravel(), ends)
     return sparse.csr_array(places, shape=(len(i), size * size))
-
-
-def _widened(total: FloatArray, step: float, scale_px: float) -> FloatArray:
-    """Return the light spread by wings exp(-|s| / scale)."""
-    n = total.shape[1]
-    pad = int(4.0 * scale_px / step)
-    wings = np.exp(-np.abs(np.arange(-pad, pad + 1)) * step / scale_px)
-    padded = np.pad(total, ((0, 0), (pad, pad)), mode="edge")
-    good = fft.next_fast_len(padded.shape[1] + 2 * pad, real=True)
-    out = fft.irfft(fft.rfft(padded, good) * fft.rfft(wings / wings.sum(), good), good)
-    return np.asarray(out[:, 2 * pad : 2 * pad + n])

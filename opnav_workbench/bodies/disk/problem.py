@@ -27,9 +27,9 @@ from opnav_workbench.bodies.disk.columns import (
     TabulatedDisk,
     Unknown,
 )
-from opnav_workbench.bodies.disk.limb_cells import depth_edges
-from opnav_workbench.bodies.disk.limb_field import limb_field, piece_angles
-from opnav_workbench.bodies.disk.limb_light import LimbLight, limb_light, own_law, psf_variance
+from opnav_workbench.bodies.disk.limb_cells import depth_edges, piece_angles
+from opnav_workbench.bodies.disk.limb_field import limb_field
+from opnav_workbench.bodies.disk.limb_light import LimbLight, Patches, limb_light, own_law, psf_variance
 from opnav_workbench.bodies.disk.marginal import LimbSystem
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
@@ -142,7 +142,12 @@ class DiskProblem:
         return np.asarray(brightest > LIT_LIMB)
 
     def tabulated(
-        self, shape: DiskShape, *, fine: bool = False, on_slopes: bool | None = None
+        self,
+        shape: DiskShape,
+        *,
+        fine: bool = False,
+        on_slopes: bool | None = None,
+        patches: Patches | None = None,
     ) -> TabulatedDisk:
         """Return the light of a shape; of a body that cannot be strained, without its strain."""
         strain = shape.strain if self.can_be_strained else np.zeros(5)
@@ -153,10 +158,9 @@ class DiskProblem:
         reach = (inward + 4.0, outward + 4.0)
         light = limb_light(
             picture, self.name, outline, scale, reach, self.node_rad, shape.law, strain, shape.blur_px2,
-            fine=fine, on_slopes=on_slopes,
+            fine=fine, on_slopes=on_slopes, patches=patches,
         )  # fmt: skip
-        slant = silhouette.at(shape.center_px).slant
-        return TabulatedDisk(shape, strain, silhouette, slant, light, self._lit(light))
+        return TabulatedDisk(shape, strain, silhouette, outline.slant, light, self._lit(light))
 
     def _prior_sigma(self) -> FloatArray:
         """Return the uncertainty (p,) of what is shared, but for the scales of the figure."""

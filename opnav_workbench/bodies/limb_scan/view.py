@@ -24,8 +24,7 @@ from opnav_workbench.bodies.disk.columns import (
     columns_dn,
     disk_columns,
 )
-from opnav_workbench.bodies.disk.limb_cells import depth_edges, limb_pixels
-from opnav_workbench.bodies.disk.limb_field import piece_angles
+from opnav_workbench.bodies.disk.limb_cells import depth_edges, limb_pixels, piece_angles
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk
 from opnav_workbench.bodies.limb_scan.fan import ScanFan, ScanSampler, lay_fan
 from opnav_workbench.bodies.silhouette import TURN, Outline
