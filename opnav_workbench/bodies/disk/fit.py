@@ -62,6 +62,8 @@ LEAST_BRIGHT = 0.5  # of light without what a law adds to it
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
 HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
 SURE_SIGMAS = 1.0  # of the PSF, inward of the limb: there pixels show the albedo beside it
+# Of a disk's brightness: light of a camera and of its sky that no model has, be a cell of many pixels known ever so well.
+FAINTEST = 3e-4
 DOUBTED_SIGMAS = 4.0  # of a cell's residual: beyond, it counts as if its noise were larger
 # Solutions with weights by the last one; and weights alike, in the logarithm.
 MOST_DOUBTS, SAME_DOUBT = 4, 0.5
@@ -489,8 +491,8 @@ class _Fitter:
 
         It returns its length (px), and whether it was such a part: else the last one that was tried.
         """
+        self._reweigh()  # costs with other weights are not to be compared
         before, begun, start = self.shape, self.linear, self.linear.solution
-        self._relight(begun)
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
@@ -696,8 +698,9 @@ class _Fitter:
         share = means[-3] / whole  # of a pixel in its cell
         uneven = np.maximum(means[-2] - means[0] ** 2, 0.0) * share
         patches = self.brightness**2 * self.patchy[:, None] * uneven
-        variance = np.where(usable, self.doubt / whole + patches, np.inf)
-        seen_variance = 1.0 / np.where(usable, means[-1] * whole, 1.0)
+        faint = (FAINTEST * self.brightness) ** 2
+        variance = np.where(usable, self.doubt * (1.0 / whole + faint) + patches, np.inf)
+        seen_variance = 1.0 / np.where(usable, means[-1] * whole, 1.0) + faint
         return _Cells(variance, seen_variance, data, means[:-3])
 
     def _system(self, celled: _CelledSamples, columns: FloatArray) -> LimbSystem:
