@@ -88,9 +88,8 @@ class Changes(NamedTuple):
 
 # Light is linear in the share, but for an albedo that is on it: what counts is the product of both.
 NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.006, 0.05)
-UNRESTED = Changes(
-    0.003, 0.01, 0.001, 0.0015, 0.01
-)  # for a fit that did not come to rest: steps follow the tables' slopes
+# For a fit that did not come to rest, as slopes of other tables than its own would let it.
+UNRESTED = Changes(0.003, 0.01, 0.001, 0.0015, 0.01)
 EVEN_ALBEDO = 0.05  # and noise changes with the share
 
 
@@ -343,12 +342,16 @@ class _Fitter:
         """
         for _ in range(MOST_DOUBTS):
             system = self._system(celled, columns)
-            self.linear = _LinearDisk(system, celled, columns, system.solve(self.prior, self._held()))
+            self.linear = _LinearDisk(system, celled, columns, self._solution(system))
             self.celled = celled
             before, found = self.doubt, self._doubts(self.linear)
             self.doubt = np.where(self.problem.in_sky, found, before)
             if np.max(np.abs(np.log(self.doubt / before))) < SAME_DOUBT:
                 break
+
+    def _solution(self, system: LimbSystem) -> MarginalSolution:
+        """Return the solution for a law that surfaces have: all else goes with the law, and one of none leads it away."""
+        return system.solve(self.prior, self._held(), self.problem.bounds)
 
     def _doubts(self, linear: _LinearDisk) -> FloatArray:
         """Return by how much (j, c) larger the variance of cells counts than their noise is."""
@@ -385,7 +388,7 @@ class _Fitter:
             else:
                 self.linear = kept
         self.prior = best.prior
-        self.linear = self.linear._replace(solution=system.solve(self.prior, self._held()))
+        self.linear = self.linear._replace(solution=self._solution(system))
         self.likelihood += self.linear.solution.log_likelihood - before
 
     def _tuned(self) -> TunedPrior:
@@ -397,7 +400,10 @@ class _Fitter:
         solution, system = self.linear.solution, self.linear.system
         if len(self.problem.hemispheres) == 1:
             return solution
-        each = [system.solve(replace(self.prior, hemispheres=float(h))) for h in self.problem.hemispheres]
+        each = [
+            system.solve(replace(self.prior, hemispheres=float(h)), bounds=self.problem.bounds)
+            for h in self.problem.hemispheres
+        ]
         weight = softmax([one.log_likelihood for one in each])
         away = np.array([one.theta for one in each]) - solution.theta
         whole = np.array([one.covariance for one in each]) + away[:, :, None] * away[:, None, :]

@@ -378,10 +378,16 @@ class LimbSystem:
         beside = columns @ flat.T - products(found.halves, halves)[:-1]
         return np.asarray(0.5 * (inner - beside.T @ found.mixed.covariance @ beside))
 
-    def solve(self, prior: FieldPrior, held: Mapping[int, float] | None = None) -> MarginalSolution:
+    def solve(
+        self,
+        prior: FieldPrior,
+        held: Mapping[int, float] | None = None,
+        bounds: FloatArray | None = None,
+    ) -> MarginalSolution:
         """Solve for what all pieces share, marginal over the rest.
 
-        `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is.
+        `held` are values of theta for which `MarginalSolution.held_chi2` is wanted, whatever the solution is. `bounds`
+        (2, p) are the least and the largest that theta may be: the mean is within them, all else is as without.
         """
         cells = self.weighed(prior.grain)
         found = self._marginal(prior, cells)
@@ -390,12 +396,13 @@ class LimbSystem:
         held_chi2, held_cost = (
             (chi2, chi2) if held is None else _held_cost(*found.without_hemispheres(), self.scales, held)
         )
+        theta = mixed.theta if bounds is None else _bounded(mixed.theta, mixed.covariance, bounds)
         solved = found.factor.solved(found.halves)
-        nodes = (solved[..., -1] - solved[..., :-1] @ mixed.theta).reshape(len(self.data), -1)
-        nodes[:, :-1] += self.field.modes @ mixed.theta[p:]
+        nodes = (solved[..., -1] - solved[..., :-1] @ theta).reshape(len(self.data), -1)
+        nodes[:, :-1] += self.field.modes @ theta[p:]
         return MarginalSolution(
             found.log_likelihood(cells),
-            mixed.theta[:p],
+            theta[:p],
             mixed.covariance[:p, :p],
             nodes,
             chi2,
@@ -403,6 +410,15 @@ class LimbSystem:
             held_cost + found.width(cells) + found.broad_width(),
             mixed.share,
         )
+
+
+def _bounded(theta: FloatArray, covariance: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Return a mean with those of its first p that lie beyond bounds (2, p) at them, and all others as that lets them be."""
+    first = theta[: bounds.shape[1]]
+    back = np.clip(first, *bounds) - first
+    beyond = np.flatnonzero(back)
+    gain = np.linalg.solve(covariance[np.ix_(beyond, beyond)], covariance[beyond])
+    return np.asarray(theta + back[beyond] @ gain)
 
 
 def _held_cost(

@@ -191,7 +191,8 @@ def _fitted(
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-        if fit.chi2_reduced > UNEXPLAINED and picture.spilled is None:  # else charge is about it, and no sky
+        doubted = fit.chi2_reduced > UNEXPLAINED or not fit.converged
+        if doubted and picture.spilled is None:  # else charge is about it, and no sky
             fit, crossing = _from_the_sky(picture, name, pixels, fit, crossing)
         fit = _over_sizes(picture, name, place, pixels, fit)
     return fit.less_sure(_hidden_px2(picture, fit)), pixels, hits, crossing
@@ -505,7 +506,9 @@ def _explains(other: DiskFit, fit: DiskFit) -> bool:
 
 
 def _is_wider(other: DiskFit, fit: DiskFit) -> bool:
-    return bool(np.trace(other.covariance_px2) > WIDER**2 * np.trace(fit.covariance_px2))
+    """Tell whether the pixels tell another fit less of the center, however far either has yet to go."""
+    known, before = (np.trace(each.covariance_px2 - each.unrest_px2) for each in (other, fit))
+    return bool(known > WIDER**2 * before)
 
 
 def _fit_from(
