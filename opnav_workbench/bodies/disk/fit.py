@@ -351,7 +351,16 @@ class _Fitter:
 
     def _solution(self, system: LimbSystem) -> MarginalSolution:
         """Return the solution for a law that surfaces have: all else goes with the law, and one of none leads it away."""
-        return system.solve(self.prior, self._held(), self.problem.bounds)
+        return system.solve(self.prior, self._held(), self._bounds())
+
+    def _bounds(self) -> FloatArray:
+        """Return the least and the largest theta (2, p), where the light is about as bright as its tables: `_meant_law`."""
+        made = self.made
+        bounds = np.full((2, SHARED), [[-np.inf], [np.inf]])
+        step = self.problem.law_bounds - made.shape.law
+        step[:, 0] /= np.maximum(1.0 + step[:, 0] * made.light.law_means[0], LEAST_BRIGHT)
+        bounds[:, SHARES] = made.shape.law + step
+        return bounds
 
     def _doubts(self, linear: _LinearDisk) -> FloatArray:
         """Return by how much (j, c) larger the variance of cells counts than their noise is."""
@@ -400,8 +409,9 @@ class _Fitter:
         solution, system = self.linear.solution, self.linear.system
         if len(self.problem.hemispheres) == 1:
             return solution
+        bounds = self._bounds()
         each = [
-            system.solve(replace(self.prior, hemispheres=float(h)), bounds=self.problem.bounds)
+            system.solve(replace(self.prior, hemispheres=float(h)), bounds=bounds)
             for h in self.problem.hemispheres
         ]
         weight = softmax([one.log_likelihood for one in each])

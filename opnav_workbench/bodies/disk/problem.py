@@ -98,8 +98,6 @@ class DiskProblem:
         self.law_prior = _law_prior(model)
         self.own_law = own_law(model.law, float(picture.phase_rad(name)))
         self.law_bounds = LAW_BOUNDS - self.own_law
-        self.bounds = np.full((2, SHARED), [[-np.inf], [np.inf]])  # of theta
-        self.bounds[:, SHARES] = self.law_bounds
         self.psf_variance_px2 = psf_variance(picture.psf)
         # Pixels show nothing narrower than they are
         self.psf_px = max(float(np.max(picture.psf.sigma_px)), float(np.sqrt(PIXEL_VARIANCE_PX2)))
