@@ -8,6 +8,8 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     Place, fit, hits: what all methods of a limb begin from.
 ``limb_light``
     The light of a disk about its limb, in tables of angle and depth.
+``stray_light``
+    The light that wings of a PSF, of which nobody knows, may spread beside a disk.
 ``blocks``
     Pixels in squares, where the light is smooth.
 ``limb_cells``

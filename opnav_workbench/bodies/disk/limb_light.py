@@ -15,6 +15,7 @@ Law     A mixture of Lambert's law and Lommel-Seeliger's, which is Lambert's tim
         share in the mixture, and a power of mu0 mu, make up for a law that the body does not have.
 Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies at the limb is foreshortened, and the
         albedo of a body varies over arcs of its surface, not over pixels.
+Wings   What a PSF may have beside what is known of it: `opnav_workbench.bodies.disk.stray_light`.
 """
 
 from dataclasses import dataclass, replace
