@@ -94,6 +94,7 @@ def test_sigmas_of_rough_bodies_are_honest():
     assert max(off) < 5.0
 
 
+@pytest.mark.slow
 def test_a_rough_limb_is_asked_once_more_and_not_again(monkeypatch):
     """Whatever it shows the second time: of a body of a few pixels that may be more than any roughness that is believed."""
     monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.ROUGHER", 0.0)

@@ -23,6 +23,7 @@ def test_a_patch_at_the_limb_is_no_sky(index):
     assert np.hypot(*away) < 0.02 * trial.setup.diameter_px
 
 
+@pytest.mark.slow(keep=["4"])
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_an_outline_that_asks_each_pixel_by_itself(seed):
     """Patches as wide as the body, nine times darker: from 3 px beside and 5 % too small to where steps reach the limb."""
