@@ -45,7 +45,7 @@ def test_wings_are_a_convolution_over_the_plane(radius):
     depth = np.arange(max(FIRST_PX, -radius), OUTWARD_PX, STEP_PX)
     angle = np.arange(240) * (TURN / 240)
     tables = [light_at(angle[:, None], depth, patches) for patches in (0.0, 0.8)]
-    found = stray_light(*tables, outline(angle, radius), float(depth[0]), STEP_PX, WIDTH_PX)
+    found = stray_light(*tables, outline(angle, radius), angle, depth, WIDTH_PX)
     (even, *where), (patched, *_) = (plane_of(radius, patches) for patches in (0.0, 0.8))
     row, column = np.mod(where[0], TURN) * (240 / TURN), (where[1] - depth[0]) / STEP_PX
     deepest = depth[0] + 8.0 * (radius > -FIRST_PX)  # light from deeper is not in the tables

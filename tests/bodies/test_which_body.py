@@ -158,7 +158,7 @@ def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
 
 
-@pytest.mark.slow(keep=["16.0-saturated"])
+@pytest.mark.slow(keep=["80.0-saturated"])
 @pytest.mark.parametrize("marked", [True, False], ids=["saturated", "saturated and bad"])
 @pytest.mark.parametrize("width_px", [16.0, 80.0])
 def test_columns_that_charge_fills_are_no_body(body_stage, width_px, marked):

@@ -295,9 +295,8 @@ def test_enceladus_as_cassini_saw_it_from_a_circle_alone(data_dir, tmp_path):
     (body,) = outcome.result["bodies"]
     assert (outcome.result["status"], body["method"], body["status"]) == ("partial", "ellipse", "ok")
     off = np.array(body["observed"]) - [513.3, 601.4]
-    assert (
-        np.hypot(*off) < 4.5
-    )  # 3.9, at a sigma of 4.3: along the Sun's direction the center goes with size and Sun
+    # 3.9, at a sigma of 4.3: along the Sun's direction the center goes with size and Sun.
+    assert np.hypot(*off) < 4.5
     assert abs(off[1]) < 0.5
     assert np.all(np.abs(off) < 2.0 * np.sqrt(np.diag(body["covariance_px2"])))
     assert body["measured_range_km"] == pytest.approx(143_200.0, rel=0.01)  # 142,050

@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, piece_angles, square_corners
+from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, between_pieces, square_corners
 from opnav_workbench.bodies.disk.limb_light import PLANES, LimbLight
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 
@@ -122,10 +122,7 @@ class TabulatedDisk:
         """Return the outline of a shape near the tabulated one, with the heights of its pieces or without."""
         # At the tabulated size: a camera's distortion is not in proportion to it.
         plain = self.silhouette.at(shape.center_px, float(np.exp(-self.shape.log_size)))
-        angle, n = plain.angle_rad, len(shape.rough_px)
-        height = (
-            np.interp(np.mod(angle, TURN), piece_angles(n), shape.rough_px, period=TURN) if rough else 0.0
-        )
+        height = between_pieces(plain.angle_rad, shape.rough_px) if rough else 0.0
         return plain.strained(
             shape.log_size - self.shape.log_size, shape.strain[:2] - self.strain[:2], height
         )

@@ -88,7 +88,7 @@ class Changes(NamedTuple):
 
 # Light is linear in the share, but for an albedo that is on it: what counts is the product of both.
 NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.006, 0.05)
-# For a fit that did not come to rest, as slopes of other tables than its own would let it.
+# For a fit that did not come to rest: along the slopes of tables of another shape, steps become smaller and smaller.
 UNRESTED = Changes(0.003, 0.01, 0.001, 0.0015, 0.01)
 EVEN_ALBEDO = 0.05  # and noise changes with the share
 

@@ -20,7 +20,7 @@ from opnav_workbench.bodies.disk.columns import (
     TabulatedDisk,
     Unknown,
 )
-from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, piece_angles
+from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, between_pieces
 from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.place import BodyPlace
@@ -117,9 +117,7 @@ class DiskFit:
     @property
     def lit_dn(self) -> FloatArray:
         """How bright the limb is at the angles of the pixels (n,), DN."""
-        angle = piece_angles(len(self.piece_albedo))
-        albedo = np.interp(np.mod(self.pixels.angle_rad, TURN), angle, self.piece_albedo, period=TURN)
-        return np.asarray(self.brightness_dn * albedo)
+        return self.brightness_dn * between_pieces(self.pixels.angle_rad, self.piece_albedo)
 
     def even_dn(self) -> FloatArray:
         """Return the light (n,) that the solution has at its pixels, DN, for a uniform albedo."""

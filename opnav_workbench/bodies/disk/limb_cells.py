@@ -15,6 +15,7 @@ from opnav_workbench.bodies.silhouette import TURN, Outline
 __all__ = [
     "LimbPlaces",
     "SquareCorners",
+    "between_pieces",
     "cell_of",
     "depth_edges",
     "gathered",
@@ -159,6 +160,11 @@ def piece_of(angle_rad: FloatArray, pieces: int) -> IntArray:
 def piece_angles(n: int) -> FloatArray:
     """Return the middles (n,) of pieces of limb, rad."""
     return np.asarray((np.arange(n) + 0.5) * (TURN / n))
+
+
+def between_pieces(angle_rad: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what pieces of limb have (j,) at angles (n,), linear from the middle of one to the next."""
+    return np.asarray(np.interp(angle_rad, piece_angles(len(values)), values, period=TURN))
 
 
 def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:

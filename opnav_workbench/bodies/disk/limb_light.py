@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_cells import SquareCorners, piece_angles
+from opnav_workbench.bodies.disk.limb_cells import SquareCorners, between_pieces
 from opnav_workbench.bodies.disk.stray_light import stray_light
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
 from opnav_workbench.bodies.silhouette import TURN, Outline
@@ -255,10 +255,10 @@ def limb_light(
     limb = outline.radius(angle)
     slopes = _steepness(total, limb, float(first), step)
     variance = psf_variance(picture.psf, blur_px2)
-    patched = (
-        total if patches is None else _patched(total, tables[1 + LINEAR :], patches, both=on_slopes is None)
-    )
-    stray = stray_light(total, patched, limb, float(first), step, float(np.sqrt(variance)))
+    patched = None
+    if patches is not None:
+        patched = _patched(total, tables[1 + LINEAR :], angle, patches, both=on_slopes is None)
+    stray = stray_light(total, patched, limb, angle, depth, float(np.sqrt(variance)))
     every = np.concatenate([np.stack([total, slopes[..., 2], *stray]), tables[1:]])
     kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     return LimbLight(
@@ -267,13 +267,17 @@ def limb_light(
 
 
 def _patched(
-    even: NDArray[np.floating], hats: NDArray[np.floating], patches: Patches, *, both: bool
+    even: NDArray[np.floating],
+    hats: NDArray[np.floating],
+    angle: FloatArray,
+    patches: Patches,
+    *,
+    both: bool,
 ) -> NDArray[np.floating]:
     """Return the light (t, n) of a surface with patches, whose hats are (k, t, n) or (2 k, t, n)."""
-    t, k = len(even), patches.nodes.shape[1]
+    k = patches.nodes.shape[1]
     first = k * (both and patches.on_slopes)
-    angle, middle = TURN / t * np.arange(t), piece_angles(len(patches.nodes))
-    nodes = np.stack([np.interp(angle, middle, node, period=TURN) for node in patches.nodes.T])
+    nodes = np.stack([between_pieces(angle, node) for node in patches.nodes.T])
     light = patches.mean * even + np.einsum("kt,ktn->tn", nodes, hats[first : first + k])
     return np.asarray(np.maximum(light, 0.0))
 

@@ -28,10 +28,10 @@ LIMB_WIDTHS = 2.0  # of the PSF, over which light of the model gives way to that
 
 def stray_light(
     even: NDArray[np.floating],
-    surface: NDArray[np.floating],
+    surface: NDArray[np.floating] | None,
     limb_px: FloatArray,
-    first_px: float,
-    step_px: float,
+    angle_rad: FloatArray,
+    depth_px: FloatArray,
     width_px: float,
 ) -> NDArray[np.floating]:
     """Return the changes (2, t, n) of light with the shares of it that go to wings and to a halo.
@@ -39,42 +39,52 @@ def stray_light(
     Parameters
     ----------
     even, surface : (t, n) arrays
-        Light of the model in t directions and at n depths, and that of the surface as it has been found.
-    limb_px : (t,) array
-        Radius of the outline.
-    first_px, step_px
-        Depth of the first column, and from each to the next.
+        Light of the model, and that of the surface as it has been found; None: it is even.
+    limb_px, angle_rad : (t,) arrays
+        Radius of the outline in directions all around.
+    depth_px : (n,) array
+        In even steps.
     width_px
         Sigma of the PSF.
     """
-    depth: FloatArray = first_px + step_px * np.arange(float(even.shape[1]))
-    outside = np.clip(0.5 + depth / (LIMB_WIDTHS * width_px), 0.0, 1.0)
-    own = _spread(even, limb_px, depth)
-    return np.asarray(own + outside * (_spread(surface, limb_px, depth) - own) - even)
+    spread, *patched = _spread([even] if surface is None else [even, surface], limb_px, angle_rad, depth_px)
+    outside = np.clip(0.5 + depth_px / (LIMB_WIDTHS * width_px), 0.0, 1.0)
+    for found in patched:
+        spread = spread + outside * (found - spread)
+    return spread - even
 
 
-def _spread(light: NDArray[np.floating], limb_px: FloatArray, depth_px: FloatArray) -> NDArray[np.floating]:
-    """Return light (t, n) as wings and as a halo have it (2, t, n); deeper than it is known it goes on as it is."""
-    t, n = light.shape
+def _spread(
+    lights: list[NDArray[np.floating]], limb_px: FloatArray, angle_rad: FloatArray, depth_px: FloatArray
+) -> list[NDArray[np.floating]]:
+    """Return each of the lights (t, n) as wings and as a halo have it (2, t, n).
+
+    Deeper than it is known it goes on as it is.
+    """
+    t, n = len(angle_rad), len(depth_px)
     farthest = float(limb_px.max() + depth_px[-1])
     apart = float(np.clip(farthest / ALONG_RADIUS, *APART_PX))
     half = int(np.ceil(farthest / apart))
     at = apart * np.arange(-half, half + 1.0)
     reach, around = np.hypot(at, at[:, None]), np.arange(t + 1)
-    plane = np.where(reach < limb_px.min(), light[:, 0].mean(), 0.0)
     beyond = float(limb_px.min() + depth_px[0]) - REACH * max(STRAY_PX)
     line, pixel = np.nonzero(reach > beyond)  # deeper in there is nothing that reaches the tables
     angle = np.mod(np.arctan2(at[line], at[pixel]), TURN) * (t / TURN)
     limb = np.interp(angle, around, np.append(limb_px, limb_px[0]))
     column = (reach[line, pixel] - limb - depth_px[0]) / (depth_px[1] - depth_px[0])
-    found = ndimage.map_coordinates(light[around % t], [angle, np.clip(column, 0.0, n - 1.0)], order=1)
-    plane[line, pixel] = np.where(column > n - 1.0, 0.0, found)
+    sources = [angle, np.clip(column, 0.0, n - 1.0)]
 
     size = fft.next_fast_len(len(at) + int(REACH * max(STRAY_PX) / apart), real=True)
     wave = TURN * np.hypot(fft.fftfreq(size, apart)[:, None], fft.rfftfreq(size, apart))
-    spectrum = fft.rfft2(plane, (size, size))
+    spreads = [(1.0 + (wave * scale) ** 2) ** -1.5 for scale in STRAY_PX]
     away = np.maximum(limb_px[:, None] + depth_px, 0.0) / apart
-    turned = TURN / t * np.arange(t)[:, None]
-    places = [half + away * np.sin(turned), half + away * np.cos(turned)]
-    spread = (fft.irfft2(spectrum * (1.0 + (wave * scale) ** 2) ** -1.5, (size, size)) for scale in STRAY_PX)
-    return np.stack([ndimage.map_coordinates(each, places, order=1) for each in spread])
+    places = [half + away * np.sin(angle_rad)[:, None], half + away * np.cos(angle_rad)[:, None]]
+    out: list[NDArray[np.floating]] = []
+    for light in lights:
+        plane = np.where(reach < limb_px.min(), light[:, 0].mean(), 0.0)
+        found = ndimage.map_coordinates(light[around % t], sources, order=1)
+        plane[line, pixel] = np.where(column > n - 1.0, 0.0, found)
+        spectrum = fft.rfft2(plane, (size, size))
+        planes = (fft.irfft2(spectrum * spread, (size, size)) for spread in spreads)
+        out.append(np.stack([ndimage.map_coordinates(each, places, order=1) for each in planes]))
+    return out
