@@ -49,7 +49,7 @@ SAME_CELLS_PX = 0.35  # that an outline may move by, and cells stay what they ar
 # of coarse light is. Nothing but the tables tells how light changes with a power: along the valley of a law they have to
 # follow.
 MOST_TURNS, MOST_FINE, MOST_TUNED, COARSE_TUNINGS = 12, 8, 2, 2
-MOST_HALVINGS, MOST_UPHILL = 3, 3
+MOST_HALVINGS, MOST_UPHILL = 3, 2
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
@@ -60,7 +60,7 @@ MOST_BLUR = 0.5, 20.0  # of the PSF's variance, less and more
 MOST_STRAIN, MOST_LAW = 0.02, np.array([2.0, 0.2])
 LEAST_BRIGHT = 0.5  # of light without what a law adds to it
 MOST_BRIGHTER = 1.3  # a step: what is believed of noise and albedo goes with it
-HALFWAY = (1.0, 0.5, 0.0)  # to a shape from that of the last tables
+HALFWAY = (1.0, 0.5)  # to a shape from that of the last tables
 SURE_SIGMAS = 1.0  # of the PSF, inward of the limb: there pixels show the albedo beside it
 # Of a disk's brightness: light of a camera and of its sky that no model has, be a cell of many pixels known ever so well.
 FAINTEST = 3e-4
@@ -463,8 +463,10 @@ class _Fitter:
         """
         self._reweigh()
         best, self.wandered_px, self.unrest_px2 = self._state(), np.zeros(2), np.zeros((2, 2))
-        passed, uphill, rests = [], 0, False
+        passed, uphill, rests, anew = [], 0, False, True
         for _ in range(most):
+            if not anew:
+                self._reweigh()  # costs with other weights are not to be compared
             length, lower = self._step()
             self.lengths.append(length)
             passed.append(self.shape.center_px)
@@ -507,7 +509,6 @@ class _Fitter:
 
         It returns its length (px), and whether it was such a part: else the last one that was tried.
         """
-        self._reweigh()  # costs with other weights are not to be compared
         before, begun, start = self.shape, self.linear, self.linear.solution
         for halving in range(MOST_HALVINGS):
             self.shape = before
@@ -532,7 +533,7 @@ class _Fitter:
         and still explain the pixels: only what was tabulated is compared. It tells whether the tables are new.
         """
         kept, then, now = self._state(), self.made.shape, self.shape
-        patches = self._patches()
+        patches, moved = self._patches(), self._differ(UNRESTED, now, then)
         for share in HALFWAY:
             self.shape = replace(
                 now,
@@ -550,7 +551,8 @@ class _Fitter:
             self._solve()
             self._reweigh()
             likelihood = self.linear.solution.log_likelihood
-            if likelihood > self.likelihood - 0.5 * self._lost():
+            finer = both and not moved  # the same light, better known: likelier or not
+            if finer or likelihood > self.likelihood - 0.5 * self._lost():
                 self.likelihood, self.refused = likelihood, None
                 return True
         if not fine:
