@@ -5,11 +5,12 @@ Flow   prediction or analyst's circle -> search radius and sub-array -> data cut
 """
 
 from dataclasses import dataclass
+from types import EllipsisType
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.constants import MAD_TO_SIGMA
 
@@ -130,6 +131,8 @@ def choose_subarray(
 
 # ---- The pixels of a window that a body is fitted to.
 
+Index = EllipsisType | tuple[slice, ...] | tuple[IntArray, ...]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cutout:
@@ -159,8 +162,11 @@ class Cutout:
 
     def weight(self, light_dn: FloatArray | float = 0.0) -> FloatArray:
         """Return 1 / variance of pixels that hold a body's light; 0 for those not used."""
-        variance = self.noise_dn**2 + np.maximum(light_dn, 0.0) / self.gain_e_per_dn
-        return np.where(self.use, 1.0 / variance, 0.0)
+        return np.where(self.use, 1.0 / self.variance_dn2(light_dn), 0.0)
+
+    def variance_dn2(self, light_dn: FloatArray | float, at: Index = ...) -> FloatArray:
+        """Return the variance of all pixels, or those `at` an index, that hold a body's light."""
+        return np.asarray(self.noise_dn[at] ** 2 + np.maximum(light_dn, 0.0) / self.gain_e_per_dn)
 
 
 def cut_out(

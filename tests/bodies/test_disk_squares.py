@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from opnav_workbench.bodies.disk.blocks import DiskPixels, PixelSquares, limb_samples
+from opnav_workbench.bodies.disk.blocks import PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places, square_corners
 from opnav_workbench.bodies.disk.limb_light import limb_light
 from opnav_workbench.bodies.silhouette import Silhouette
+from opnav_workbench.bodies.subarray import Cutout
 
 INWARD_PX, OUTWARD_PX, SHARP_PX = 36.0, 9.0, 3.2
 CENTER = np.array([500.3, 431.8])
@@ -22,7 +23,8 @@ def disk(body_stage):
 
 def pixels_of(data, use=None):
     use = np.ones(data.shape, dtype=bool) if use is None else use
-    return DiskPixels(data, np.full(data.shape, 2.0), use, 20.0)
+    window = (0, 0, *data.shape[::-1])
+    return Cutout(window, data, np.full(data.shape, 2.0), use, np.zeros(data.shape, dtype=bool), 20.0)
 
 
 def test_every_usable_pixel_counts_once(disk):

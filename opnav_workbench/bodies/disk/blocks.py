@@ -4,16 +4,16 @@ A square's mean of data is compared with the light at four places in it, which h
 fourth power of side over depth.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, limb_depth, limb_places
 from opnav_workbench.bodies.silhouette import Outline
+from opnav_workbench.bodies.subarray import Cutout
 
-__all__ = ["DiskPixels", "LimbSamples", "PixelSquares", "limb_samples"]
+__all__ = ["LimbSamples", "PixelSquares", "limb_samples"]
 
 SIDES = (1, 2, 4, 8)
 CLEAR_SIDES = 2.0  # a square is as far from the limb, at least
@@ -45,19 +45,6 @@ class _Squares(NamedTuple):
     whole: BoolArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DiskPixels:
-    """Planes (n_line, n_pixel) of the picture: data, noise without shot noise, which pixels count; and the gain."""
-
-    data_dn: FloatArray
-    noise_dn: FloatArray
-    use: BoolArray
-    gain_e_per_dn: float
-
-    def __post_init__(self) -> None:
-        freeze_arrays(self)
-
-
 class PixelSquares:
     """Squares of all sides in the part of a picture about an outline.
 
@@ -67,7 +54,7 @@ class PixelSquares:
         Beyond the outline.
     """
 
-    def __init__(self, pixels: DiskPixels, outline: Outline, reach_px: float) -> None:
+    def __init__(self, pixels: Cutout, outline: Outline, reach_px: float) -> None:
         self.first, self.last = _part(outline, reach_px, pixels.use.shape)
         (line, pixel), (line_end, pixel_end) = SIDES[-1] * self.first, SIDES[-1] * self.last
         part = np.s_[line:line_end, pixel:pixel_end]

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import softmax
 
 from opnav_workbench.arrays import FloatArray, IntArray
-from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples
+from opnav_workbench.bodies.disk.blocks import LimbSamples
 from opnav_workbench.bodies.disk.columns import (
     ALBEDO,
     CENTER,
@@ -40,6 +40,7 @@ from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import Outline
+from opnav_workbench.bodies.subarray import Cutout
 from opnav_workbench.errors import CenterfindingError
 
 __all__ = ["fit_disk"]
@@ -97,7 +98,7 @@ def fit_disk(
     picture: BodyPicture,
     name: str,
     place: BodyPlace,
-    pixels: DiskPixels,
+    pixels: Cutout,
     start: DiskFit | None = None,
     *,
     follows_light: bool = False,
@@ -144,7 +145,9 @@ def _with_other_law(fitter: "_Fitter") -> "_Fitter":
     problem, shape = fitter.problem, fitter.shape
     power = float(problem.own_law[1] + shape.law[1])
     law = MINNAERT_LAW if power > 0.5 * MINNAERT_LAW[1] else MIXED_LAW
-    other = _Fitter(problem, replace(shape, law=law - problem.own_law), None)
+    other = _Fitter(
+        problem, replace(shape, law=law - problem.own_law), None, follows_light=fitter.follows_light
+    )
     if not other.is_likelier(fitter):
         return fitter
     other.settle()

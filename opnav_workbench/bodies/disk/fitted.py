@@ -24,7 +24,7 @@ from opnav_workbench.bodies.disk.limb_cells import LimbPlaces, between_pieces
 from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.place import BodyPlace
-from opnav_workbench.bodies.silhouette import TURN, Outline
+from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.render import FigureUncertainty
 
 __all__ = ["DiskFit"]
@@ -134,14 +134,8 @@ class DiskFit:
         theta = self.solution.theta
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
         model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn(self.lit_dn)
-        j = len(self.piece_albedo)
-        place = np.mod(self.pixels.angle_rad, TURN) * (j / TURN) - 0.5
-        below = np.floor(place).astype(np.int64)
-        part = place - below
-        for index, weight in ((below % j, 1.0 - part), ((below + 1) % j, part)):
-            nodes = self.solution.nodes[index, :-1]
-            model += weight * np.einsum("nk,kn->n", nodes, self.columns[ALBEDO])
-        return np.asarray(model)
+        albedo = between_pieces(self.pixels.angle_rad, self.solution.nodes[:, :-1])
+        return np.asarray(model + np.einsum("nk,kn->n", albedo, self.columns[ALBEDO]))
 
     def sigma(self, unknown: Unknown) -> float:
         """Return the standard deviation of what is shared."""

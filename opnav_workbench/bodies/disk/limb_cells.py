@@ -163,8 +163,12 @@ def piece_angles(n: int) -> FloatArray:
 
 
 def between_pieces(angle_rad: FloatArray, values: FloatArray) -> FloatArray:
-    """Return what pieces of limb have (j,) at angles (n,), linear from the middle of one to the next."""
-    return np.asarray(np.interp(angle_rad, piece_angles(len(values)), values, period=TURN))
+    """Return what pieces of limb have (j, ...) at angles (n,), linear from the middle of one to the next: (n, ...)."""
+    j = len(values)
+    place = np.mod(angle_rad, TURN) * (j / TURN) - 0.5
+    below = np.floor(place).astype(np.int64)
+    part = (place - below).reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1.0 - part) * values[below % j] + part * values[(below + 1) % j])
 
 
 def cell_of(places: LimbPlaces, pieces: int, edges: FloatArray) -> IntArray:

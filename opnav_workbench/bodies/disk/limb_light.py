@@ -277,8 +277,8 @@ def _patched(
     """Return the light (t, n) of a surface with patches, whose hats are (k, t, n) or (2 k, t, n)."""
     k = patches.nodes.shape[1]
     first = k * (both and patches.on_slopes)
-    nodes = np.stack([between_pieces(angle, node) for node in patches.nodes.T])
-    light = patches.mean * even + np.einsum("kt,ktn->tn", nodes, hats[first : first + k])
+    nodes = between_pieces(angle, patches.nodes)
+    light = patches.mean * even + np.einsum("tk,ktn->tn", nodes, hats[first : first + k])
     return np.asarray(np.maximum(light, 0.0))
 
 

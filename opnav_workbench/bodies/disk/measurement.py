@@ -19,7 +19,6 @@ from opnav_workbench.bodies.crossings import (
     cross_limb,
     fit_crossings,
 )
-from opnav_workbench.bodies.disk.blocks import DiskPixels
 from opnav_workbench.bodies.disk.columns import RELIEF, Unknown, disk_columns
 from opnav_workbench.bodies.disk.fit import WANDERED_SHARE, fit_disk
 from opnav_workbench.bodies.disk.fitted import DiskFit
@@ -33,7 +32,13 @@ from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.spilled import without_filled, without_spilled
-from opnav_workbench.bodies.subarray import choose_subarray, find_hit_pixels, outline_radius_px, search_radius
+from opnav_workbench.bodies.subarray import (
+    Cutout,
+    choose_subarray,
+    find_hit_pixels,
+    outline_radius_px,
+    search_radius,
+)
 from opnav_workbench.errors import CenterfindingError
 from opnav_workbench.image import darkest_sky
 from opnav_workbench.threads import one_thread
@@ -79,7 +84,7 @@ class MeasuredDisk:
     search_px: float | None
     place: BodyPlace
     fit: DiskFit
-    pixels: DiskPixels
+    pixels: Cutout
     hits: BoolArray
     crossing: CrossingFit | None
 
@@ -177,7 +182,7 @@ def disk_at(
 
 def _fitted(
     picture: BodyPicture, name: str, place: BodyPlace, *, quick: bool
-) -> tuple[DiskFit, DiskPixels, BoolArray, CrossingFit | None]:
+) -> tuple[DiskFit, Cutout, BoolArray, CrossingFit | None]:
     """Fit a disk whose limb is as rough as its model has it; the last fields of a `MeasuredDisk`."""
     pixels = _usable(picture, name, place)
     fit = fit_disk(picture, name, place, pixels)
@@ -311,14 +316,13 @@ def _beside_the_detector(
     return f"{where}, {away:.0f} px off the {size[0]} x {size[1]} detector"
 
 
-def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> DiskPixels:
+def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> Cutout:
     """Return the picture's planes, without pixels that are bad, saturated, or lit by other bodies."""
     whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
-    cutout = without_others(picture, name, place.center_px, whole)
-    return DiskPixels(cutout.data_dn, cutout.noise_dn, cutout.use, cutout.gain_e_per_dn)
+    return without_others(picture, name, place.center_px, whole)
 
 
-def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
+def _hits(fit: DiskFit, pixels: Cutout) -> BoolArray:
     """Return the pixels (n_line, n_pixel) of the strip whose light is not the body's."""
     near = fit.pixels
     residual, weight = np.zeros(pixels.use.shape), np.zeros(pixels.use.shape)
@@ -326,7 +330,7 @@ def _hits(fit: DiskFit, pixels: DiskPixels) -> BoolArray:
     model = fit.model_dn()
     residual[here] = pixels.data_dn[here] - model
     light = np.maximum(model - fit.solution.theta[Unknown.LEVEL], 0.0)
-    variance = pixels.noise_dn[here] ** 2 + light / pixels.gain_e_per_dn + (fit.prior.grain * light) ** 2
+    variance = pixels.variance_dn2(light, here) + (fit.prior.grain * light) ** 2
     weight[here] = np.where(pixels.use[here], 1.0 / variance, 0.0)
     if not len(line):
         return np.zeros(pixels.use.shape, dtype=bool)
@@ -434,7 +438,7 @@ def same_center(step_px: FloatArray, sigmas: float) -> bool:
 
 
 def _from_crossings(
-    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit
+    picture: BodyPicture, name: str, pixels: Cutout, fit: DiskFit, crossing: CrossingFit
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return the likelier of a fit and of another that begins where the crossings put the body."""
     size = fit.smooth_outline.diameter_px * np.exp(crossing.log_size) / picture.diameter_px(name)
@@ -451,7 +455,7 @@ def _from_crossings(
 
 
 def _along_its_light(
-    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit | None
+    picture: BodyPicture, name: str, pixels: Cutout, fit: DiskFit, crossing: CrossingFit | None
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return a fit that goes along its own light, if that explains more and the crossings confirm it; else the fit.
 
@@ -475,7 +479,7 @@ SKY_SIGMA_PX, SKY_SIZE_SIGMA = 0.5, 0.01  # of an outline by the sky about it
 
 
 def _from_the_sky(
-    picture: BodyPicture, name: str, pixels: DiskPixels, fit: DiskFit, crossing: CrossingFit | None
+    picture: BodyPicture, name: str, pixels: Cutout, fit: DiskFit, crossing: CrossingFit | None
 ) -> tuple[DiskFit, CrossingFit | None]:
     """Return a fit that begins where the sky about the disk ends, if that explains more; else the fit.
 
@@ -512,7 +516,7 @@ def _is_wider(other: DiskFit, fit: DiskFit) -> bool:
 
 
 def _fit_from(
-    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, followed: DiskFit | None = None
+    picture: BodyPicture, name: str, place: BodyPlace, pixels: Cutout, followed: DiskFit | None = None
 ) -> DiskFit | None:
     """Return a fit, one that goes on along its own light from another if that is given; None where there can be none."""
     try:
@@ -525,7 +529,7 @@ def _likelier_one(
     picture: BodyPicture,
     name: str,
     place: BodyPlace,
-    pixels: DiskPixels,
+    pixels: Cutout,
     fit: DiskFit,
     *,
     follows_light: bool,
@@ -548,9 +552,7 @@ LEAST_GROWTH_PX = 0.02  # of the radius, for a size that is not known
 LEVELED = 3.0  # likelihoods of two fits differ by some units for their cells alone
 
 
-def _over_sizes(
-    picture: BodyPicture, name: str, place: BodyPlace, pixels: DiskPixels, fit: DiskFit
-) -> DiskFit:
+def _over_sizes(picture: BodyPicture, name: str, place: BodyPlace, pixels: Cutout, fit: DiskFit) -> DiskFit:
     """Return a small disk's fit with how far its center moves with the size in its covariance, as likely as each is."""
     sigma, radius = fit.figure.size_sigma, 0.5 * fit.outline.diameter_px
     small = radius < SMALL_WIDTHS * np.sqrt(psf_variance(picture.psf))
@@ -574,7 +576,7 @@ def _over_sizes(
 SCATTERS = np.geomspace(1e-3, 1.0, 25)  # of a surface about its model, relative
 
 
-def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
+def likelier(pixels: Cutout, *fits: DiskFit) -> DiskFit:
     """Return the fit that explains the pixels of all of them best.
 
     The likelihood that a fit rests on is that of its own strip. Strips of outlines that lie apart hold other pixels, and
@@ -587,7 +589,7 @@ def likelier(pixels: DiskPixels, *fits: DiskFit) -> DiskFit:
     return min(fits, key=lambda fit: _cost(pixels, fit, strips & pixels.use))
 
 
-def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
+def _cost(pixels: Cutout, fit: DiskFit, wanted: BoolArray) -> float:
     """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
     line, pixel = here = np.nonzero(wanted)
     outline = fit.made.outline(fit.shape)
@@ -595,7 +597,7 @@ def _cost(pixels: DiskPixels, fit: DiskFit, wanted: BoolArray) -> float:
     columns = disk_columns(fit.made, fit.shape, outline, near, on_slopes=fit.prior.on_slopes)
     model = replace(fit, pixels=near, columns=columns).model_dn()
     light = fit.brightness_dn * columns[RELIEF]
-    noise = pixels.noise_dn[here] ** 2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
+    noise = pixels.variance_dn2(model, here)
     return surprise((pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise, SCATTERS)
 
 

@@ -15,7 +15,7 @@ and of its own each piece has an albedo and a place of its limb: `opnav_workbenc
 import numpy as np
 
 from opnav_workbench.arrays import BoolArray, FloatArray
-from opnav_workbench.bodies.disk.blocks import DiskPixels, LimbSamples, PixelSquares, limb_samples
+from opnav_workbench.bodies.disk.blocks import LimbSamples, PixelSquares, limb_samples
 from opnav_workbench.bodies.disk.columns import (
     CENTER,
     FIGURE,
@@ -36,6 +36,7 @@ from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline, Silhouette
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
+from opnav_workbench.bodies.subarray import Cutout
 from opnav_workbench.constants import PIXEL_VARIANCE_PX2
 from opnav_workbench.render import BodyModel, FigureUncertainty, Lambert
 
@@ -79,7 +80,7 @@ class DiskProblem:
         self,
         picture: BodyPicture,
         name: str,
-        pixels: DiskPixels,
+        pixels: Cutout,
         place: BodyPlace,
         held_log_size: float | None = None,
     ) -> None:

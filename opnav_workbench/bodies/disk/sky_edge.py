@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.blocks import DiskPixels
 from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
+from opnav_workbench.bodies.subarray import Cutout
 
 __all__ = ["outline_by_sky", "surprise"]
 
@@ -26,7 +26,7 @@ ALBEDOS = (0.2, 0.4, 0.7)  # relative scatter from pixel to pixel; the likeliest
 MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a hit may do
 
 
-def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]:
+def outline_by_sky(pixels: Cutout, fit: DiskFit) -> tuple[FloatArray, float]:
     """Return center (2,) and logarithm of the size over the model's of the likeliest outline, with the fit's axes."""
     radius = 0.5 * fit.outline.diameter_px
     reach = REACH_SHARE * radius
@@ -34,7 +34,7 @@ def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]
     line, pixel = limb_pixels(outline, pixels.use.shape, reach, reach).index
     usable = np.flatnonzero(pixels.use[line, pixel])
     index = line, pixel = tuple(at[usable[:: -(-len(usable) // MOST_PIXELS) or 1]] for at in (line, pixel))
-    data, noise = pixels.data_dn[index], pixels.noise_dn[index]
+    data = pixels.data_dn[index]
     x, y, light = pixel.astype(np.float64), line.astype(np.float64), fit.made.light
 
     def cost(step: FloatArray) -> float:
@@ -45,7 +45,7 @@ def outline_by_sky(pixels: DiskPixels, fit: DiskFit) -> tuple[FloatArray, float]
         )
         near = limb_places(fit.made.outline(shape, rough=False), x, y)
         model = fit.brightness_dn * light.at(near.angle_rad, np.maximum(near.depth_px, light.first_px), 1)[0]
-        variance = noise**2 + np.maximum(model, 0.0) / pixels.gain_e_per_dn
+        variance = pixels.variance_dn2(model, index)
         square, wide = (data - model) ** 2 / variance, model**2 / variance
         return surprise(square, wide, ALBEDOS)
 

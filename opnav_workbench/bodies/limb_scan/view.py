@@ -114,7 +114,7 @@ def view_scans(disk: MeasuredDisk, shape: DiskShape, n_scans: int) -> ScanView:
 
     model_plane = plane(columns[0])
     sampled = [sampler.sample(plane(column)) for column in columns]
-    variance = pixels.noise_dn[part] ** 2 + np.maximum(model_plane, 0.0) / pixels.gain_e_per_dn
+    variance = pixels.variance_dn2(model_plane, part)
     edges = depth_edges(*fit.reach_px, float(np.max(disk.picture.psf.sigma_px)))
     return ScanView(
         outline=outline,
