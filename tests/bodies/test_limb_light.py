@@ -8,7 +8,7 @@ from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk
 from opnav_workbench.bodies.disk.columns import SHADED, DiskShape, Unknown, disk_columns
-from opnav_workbench.bodies.disk.fit import _Fitter
+from opnav_workbench.bodies.disk.fit import Fitter
 from opnav_workbench.bodies.disk.limb_cells import SquareCorners, limb_pixels, limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
@@ -178,7 +178,7 @@ def test_pieces_of_limb_that_an_edge_cuts_weigh_less():
         trial = make_trial(TrialSetup(4, 100.0, 25.0, family=family, contrast=contrast, peak_dn=1500.0))
         disk = measure_disk(trial.picture, trial.name, "disk", None, None)
         problem = DiskProblem(disk.picture, trial.name, disk.pixels, disk.place)
-        fitter = _Fitter(problem, disk.fit.shape, disk.fit)
+        fitter = Fitter(problem, disk.fit.shape, disk.fit)
         fitter._solve()
         before = fitter.linear.system.variance
         patchy.append(fitter._patchiness(fitter.linear.celled, fitter.linear.columns))

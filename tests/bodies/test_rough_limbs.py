@@ -7,7 +7,7 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, find_disk, find_ellipse, find_limb_scan, measure_disk
-from opnav_workbench.bodies.disk.fit import fit_disk
+from opnav_workbench.bodies.disk.starts import fit_disk
 
 PLACE = (510.3, 498.7)
 # Relief of 3 % of the radius, as of Bennu or Itokawa, where 0.3 % is expected.

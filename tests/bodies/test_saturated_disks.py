@@ -7,8 +7,8 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import BodyFlag, judged_disk, measure_disk
-from opnav_workbench.bodies.disk.fit import fit_disk
 from opnav_workbench.bodies.disk.measurement import with_true_sky
+from opnav_workbench.bodies.disk.starts import fit_disk
 
 OVEREXPOSED = {  # of the peak the detector holds a tenth or so
     "half lit, 740 px": TrialSetup(11, 740.0, 98.0, saturation_dn=110.0),

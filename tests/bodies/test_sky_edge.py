@@ -8,8 +8,8 @@ from disk_exam import draw
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk, measure_disk
-from opnav_workbench.bodies.disk.measurement import UNEXPLAINED
 from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
+from opnav_workbench.bodies.disk.starts import UNEXPLAINED
 
 
 @pytest.mark.slow(keep=["170"])
@@ -29,10 +29,12 @@ def test_an_outline_that_asks_each_pixel_by_itself(seed):
     """Patches as wide as the body, nine times darker: from 3 px beside and 5 % too small to where steps reach the limb."""
     trial = make_trial(TrialSetup(seed, 120.0, 25.0, family="blobs_1.0", contrast=9.0))
     disk = measure_disk(trial.picture, trial.name, "disk", None, None, quick=True)
+    made, brightness_dn = disk.fit.made, disk.fit.brightness_dn
     shape = replace(disk.fit.shape, center_px=trial.truth_px + np.array([2.0, -2.2]), log_size=-0.05)
-    center, log_size = outline_by_sky(disk.pixels, replace(disk.fit, shape=shape))
+    begun = made.outline(shape, rough=False)
+    center, grown = outline_by_sky(disk.pixels, begun, made.light, brightness_dn)
     np.testing.assert_allclose(center, trial.truth_px, rtol=0, atol=1.5)
-    assert abs(log_size) < 0.025
+    assert abs(shape.log_size + grown) < 0.025
 
 
 def test_surprise_is_that_of_the_likeliest_scatter():

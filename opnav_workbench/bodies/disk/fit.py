@@ -37,13 +37,10 @@ from opnav_workbench.bodies.disk.limb_scatter import limb_scatter
 from opnav_workbench.bodies.disk.marginal import LimbSystem, MarginalSolution
 from opnav_workbench.bodies.disk.problem import LIT_LIMB, DiskProblem
 from opnav_workbench.bodies.disk.tuning import TunedPrior, tuned
-from opnav_workbench.bodies.picture import BodyPicture
-from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.silhouette import Outline
-from opnav_workbench.bodies.subarray import Cutout
 from opnav_workbench.errors import CenterfindingError
 
-__all__ = ["fit_disk"]
+__all__ = ["WANDERED_SHARE", "Fitter"]
 
 SAME_CELLS_PX = 0.35  # that an outline may move by, and cells stay what they are: half of their depth
 # Turns with one prior and light; times that the fine light is tabulated, and that its prior is tuned; times that the prior
@@ -71,9 +68,7 @@ MOST_DOUBTS, SAME_DOUBT = 4, 0.5
 WANDERED_SHARE = 0.5  # of the way from the best place to the last one
 EVEN = 0.01  # albedo and grain of a surface that either light explains
 LOST_SHARE = 0.05  # of the cells: as a cost, more than new weights make of the same fit
-# The most albedo that another law may look like; whole share and power that mixtures and Minnaert's laws begin with.
-FAINT_ALBEDO = 0.05
-MIXED_LAW, MINNAERT_LAW = np.array([0.5, 0.0]), np.array([0.0, -0.35])
+FAINT_ALBEDO = 0.05  # the most that another law may look like
 GROWTH = 0.5  # chi-squared may grow so much in a step: brightness and weights change with it
 
 
@@ -92,66 +87,6 @@ NEW, LAST = Changes(0.03, 0.12, 0.01, 0.01, 0.1), Changes(0.012, 0.04, 0.004, 0.
 # For a fit that did not come to rest: along the slopes of tables of another shape, steps become smaller and smaller.
 UNRESTED = Changes(0.003, 0.01, 0.001, 0.0015, 0.01)
 EVEN_ALBEDO = 0.05  # and noise changes with the share
-
-
-def fit_disk(
-    picture: BodyPicture,
-    name: str,
-    place: BodyPlace,
-    pixels: Cutout,
-    start: DiskFit | None = None,
-    *,
-    follows_light: bool = False,
-    held_log_size: float | None = None,
-) -> DiskFit:
-    """Fit a disk, starting from a place that is good to about the width of the PSF, or from another fit from there.
-
-    A fit that has not come to rest is no place to begin from: other light may have led it away.
-
-    Parameters
-    ----------
-    follows_light
-        Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
-        differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
-        hold on to the limb, and these are led away.
-    held_log_size
-        Logarithm of the size over the model's, if that is not to be solved for. Where the center is with it, and how likely
-        that is, coarse light tells.
-
-    Raises
-    ------
-    CenterfindingError
-        The body leaves what the camera model covers.
-    """
-    problem = DiskProblem(picture, name, pixels, place, held_log_size)
-    none = np.zeros(problem.pieces)
-    law = np.array([problem.law_prior[0], 0.0])
-    strain = np.append(place.strain, np.zeros(3))
-    shape = DiskShape(place.center_px, float(np.log(place.size_ratio)), strain, law, 0.0, none)
-    rested = start if start is not None and start.converged else None
-    fitter = _Fitter(problem, shape, rested, follows_light=follows_light)
-    fitter.settle()
-    if rested is None and fitter.is_nearly_even:
-        fitter = _with_other_law(fitter)
-    return fitter.run(MOST_FINE if held_log_size is None else 0)
-
-
-def _with_other_law(fitter: "_Fitter") -> "_Fitter":
-    """Return the likelier of a fit with coarse light and of another that begins with a law of the other kind.
-
-    No step leads from mixtures to Minnaert's laws: between them the light at the limb is that of neither, and a faint albedo
-    makes up for what either lacks.
-    """
-    problem, shape = fitter.problem, fitter.shape
-    power = float(problem.own_law[1] + shape.law[1])
-    law = MINNAERT_LAW if power > 0.5 * MINNAERT_LAW[1] else MIXED_LAW
-    other = _Fitter(
-        problem, replace(shape, law=law - problem.own_law), None, follows_light=fitter.follows_light
-    )
-    if not other.is_likelier(fitter):
-        return fitter
-    other.settle()
-    return max(fitter, other, key=lambda each: each.linear.solution.log_likelihood)
 
 
 def _is_uneven(prior: FieldPrior) -> bool:
@@ -212,7 +147,17 @@ class _FitState(NamedTuple):
     linear: _LinearDisk
 
 
-class _Fitter:
+class Fitter:
+    """A disk that is being fitted, starting from a shape or from another fit.
+
+    Parameters
+    ----------
+    follows_light
+        Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
+        differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
+        hold on to the limb, and these are led away.
+    """
+
     def __init__(
         self, problem: DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
     ) -> None:
@@ -243,17 +188,27 @@ class _Fitter:
         """Whether the albedo may be that of a surface by another law, rather than of one with patches."""
         return self.prior.albedo < FAINT_ALBEDO
 
-    def is_likelier(self, settled: "_Fitter") -> bool:
+    @property
+    def log_likelihood(self) -> float:
+        """That of the last solution, over all that it may be."""
+        return self.linear.solution.log_likelihood
+
+    @property
+    def known_px2(self) -> FloatArray:
+        """Covariance (2, 2) of the center, however far the fit has yet to go."""
+        return np.asarray(self._excess() * self.linear.solution.covariance[np.ix_(CENTER, CENTER)])
+
+    def is_likelier(self, settled: "Fitter") -> bool:
         """Tell whether the light that this fit begins with explains more than that of another one, with its prior."""
         self.prior = settled.prior
         self._solve()
         self._reweigh()
-        return self.linear.solution.log_likelihood > settled.linear.solution.log_likelihood
+        return self.log_likelihood > settled.log_likelihood
 
     def settle(self) -> None:
         """Fit with coarse light."""
         self._solve()
-        self.likelihood = self.linear.solution.log_likelihood  # of the last tables as they were made
+        self.likelihood = self.log_likelihood  # of the last tables as they were made
         for _ in range(self.tunings):
             self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
@@ -297,7 +252,7 @@ class _Fitter:
             piece_albedo=self.piece_albedo,
             figure=self.problem.figure,
             reach_px=self.problem.reach,
-            chi2_reduced=self._chi2_reduced(),
+            chi2_reduced=self.chi2_reduced(),
             lit_share=float(np.mean(self.problem.seen_limb(self.made, self.linear.system))),
             lengths_px=tuple(self.lengths),
             converged=self.converged,
@@ -320,7 +275,7 @@ class _Fitter:
             self.shape, strain=theta[STRAINED], law=theta[SHARES], blur_px2=float(theta[Unknown.BLUR])
         )
 
-    def _chi2_reduced(self) -> float:
+    def chi2_reduced(self) -> float:
         """Return that of all cells, or of those without the sky: a rough sky is no fault of the image."""
         whole = self.linear.system
         image = replace(whole, variance=np.where(self.problem.beside, np.inf, whole.variance))
@@ -388,7 +343,7 @@ class _Fitter:
 
     def _tune(self, *, other_light: bool = False) -> None:
         """Find the prior of the field; `other_light`: also for an albedo on the other light."""
-        before = self.linear.solution.log_likelihood
+        before = self.log_likelihood
         self._doubt()
         best, system = self._tuned(), self.linear.system
         if other_light and _is_uneven(best.prior):  # else there is nothing to explain
@@ -401,7 +356,7 @@ class _Fitter:
                 self.linear = kept
         self.prior = best.prior
         self.linear = self.linear._replace(solution=self._solution(system))
-        self.likelihood += self.linear.solution.log_likelihood - before
+        self.likelihood += self.log_likelihood - before
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
@@ -553,7 +508,7 @@ class _Fitter:
             )
             self._solve()
             self._reweigh()
-            likelihood = self.linear.solution.log_likelihood
+            likelihood = self.log_likelihood
             finer = both and not moved  # the same light, better known: likelier or not
             if finer or likelihood > self.likelihood - 0.5 * self._lost():
                 self.likelihood, self.refused = likelihood, None

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_light import hats
 
-__all__ = ["HiddenAlbedo", "hidden_albedo"]
+__all__ = ["HiddenAlbedo", "hats", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
 ARCS, TURNS = (
@@ -54,6 +53,15 @@ class HiddenAlbedo:
         lag = np.abs(np.subtract.outer(np.arange(self.pieces), np.arange(self.pieces)))
         lag = np.minimum(lag, self.pieces - lag)
         return np.where(lag <= FARTHEST, by_lag[np.minimum(lag, FARTHEST)], 0.0)
+
+
+def hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
+    """Return hat functions (k, n) of the arc at shares of the limb's radius."""
+    arc = np.arccos(np.clip(share, 0.0, 1.0))
+    up = np.clip((arc - node_rad[:-1, None]) / np.diff(node_rad)[:, None], 0.0, 1.0)
+    hats = np.concatenate([np.ones((1, len(arc))), up])
+    hats[:-1] -= up
+    return np.asarray(hats)
 
 
 def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, pieces: int) -> HiddenAlbedo:

@@ -15,6 +15,7 @@ from opnav_workbench.bodies.silhouette import TURN, Outline
 __all__ = [
     "LimbPlaces",
     "SquareCorners",
+    "angle_and_depth",
     "between_pieces",
     "cell_of",
     "depth_edges",
@@ -86,7 +87,7 @@ def square_corners(outline: Outline, middles: LimbPlaces, spread_px: FloatArray)
         at[wide, None] + spread * sign
         for at, sign in zip((middles.pixel, middles.line), CORNERS, strict=True)
     )
-    return SquareCorners(wide, *_angle_and_depth(outline, x, y))
+    return SquareCorners(wide, *angle_and_depth(outline, x, y))
 
 
 def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outward_px: float) -> LimbPlaces:
@@ -107,10 +108,11 @@ def limb_pixels(outline: Outline, shape: tuple[int, int], inward_px: float, outw
 
 def limb_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> FloatArray:
     """Return how far outside of the limb (n,) places of the detector are, along rays from the center."""
-    return _angle_and_depth(outline, x_px, y_px)[1]
+    return angle_and_depth(outline, x_px, y_px)[1]
 
 
-def _angle_and_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+def angle_and_depth(outline: Outline, x_px: FloatArray, y_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where places (n,) of the detector are about an outline: angles, and how far outside of the limb along rays."""
     x, y = x_px - outline.center_px[0], y_px - outline.center_px[1]
     angle = np.arctan2(y, x)
     return angle, np.asarray(np.hypot(x, y) - _outline_at(outline, angle)[0])

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
+from opnav_workbench.bodies.disk.hidden_albedo import hats
 from opnav_workbench.bodies.disk.limb_cells import SquareCorners, between_pieces
 from opnav_workbench.bodies.disk.stray_light import stray_light
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
@@ -36,7 +37,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, Minnaert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "Patches", "cell_means", "hats", "limb_light", "own_law", "psf_variance"]
+__all__ = ["PLANES", "LimbLight", "Patches", "cell_means", "limb_light", "own_law", "psf_variance"]
 
 PLANES = (
     "light", "blur", "wings", "halo",
@@ -495,15 +496,6 @@ def _slopes(
     by_mu0 = (_law_value(body, mu0 + COSINE_STEP, mu, law) - here) / COSINE_STEP
     by_mu = (_law_value(body, mu0, mu + COSINE_STEP, law) - here) / COSINE_STEP
     return by_mu0, by_mu
-
-
-def hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
-    """Return hat functions (k, n) of the arc at shares of the limb's radius."""
-    arc = np.arccos(np.clip(share, 0.0, 1.0))
-    up = np.clip((arc - node_rad[:-1, None]) / np.diff(node_rad)[:, None], 0.0, 1.0)
-    hats = np.concatenate([np.ones((1, len(arc))), up])
-    hats[:-1] -= up
-    return np.asarray(hats)
 
 
 # ---- A limb that is nearly straight: spread along rays.

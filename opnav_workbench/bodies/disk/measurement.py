@@ -20,12 +20,13 @@ from opnav_workbench.bodies.crossings import (
     fit_crossings,
 )
 from opnav_workbench.bodies.disk.columns import RELIEF, Unknown, disk_columns
-from opnav_workbench.bodies.disk.fit import WANDERED_SHARE, fit_disk
+from opnav_workbench.bodies.disk.fit import WANDERED_SHARE
 from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
 from opnav_workbench.bodies.disk.problem import PLACE_SIGMAS
-from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
+from opnav_workbench.bodies.disk.sky_edge import surprise
+from opnav_workbench.bodies.disk.starts import START_SIZES, fit_disk, is_wider
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
 from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
@@ -185,20 +186,17 @@ def _fitted(
 ) -> tuple[DiskFit, Cutout, BoolArray, CrossingFit | None]:
     """Fit a disk whose limb is as rough as its model has it; the last fields of a `MeasuredDisk`."""
     pixels = _usable(picture, name, place)
-    fit = fit_disk(picture, name, place, pixels)
+    fit = fit_disk(picture, name, place, pixels, elsewhere=not quick)
     hits = _hits(fit, pixels)
     if hits.any():
         pixels = replace(pixels, use=pixels.use & ~hits)
-        fit = fit_disk(picture, name, place, pixels, fit)
+        fit = fit_disk(picture, name, place, pixels, fit, elsewhere=not quick)
     crossing = read_crossings(picture, fit)
     if not quick:
         if crossing is not None and not (fit.converged and alike(fit, crossing)):
             fit, crossing = _from_crossings(picture, name, pixels, fit, crossing)
         if fit.extrapolated:
             fit, crossing = _along_its_light(picture, name, pixels, fit, crossing)
-        doubted = fit.chi2_reduced > UNEXPLAINED or not fit.converged
-        if doubted and picture.spilled is None:  # else charge is about it, and no sky
-            fit, crossing = _from_the_sky(picture, name, pixels, fit, crossing)
         fit = _over_sizes(picture, name, place, pixels, fit)
     return fit.less_sure(_hidden_px2(picture, fit)), pixels, hits, crossing
 
@@ -349,8 +347,6 @@ ROUGHEST = 0.2  # of the radius
 FEWEST_CROSSINGS = 12
 ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
-START_SIZES = (0.7, 1.4)
-WIDER = 2.0  # sigma of a fit along its own light, at most, over that of the other one
 UNSURE = (
     "blur",
     "law",
@@ -466,53 +462,12 @@ def _along_its_light(
     if found is None:
         return fit, crossing
     other, reading = found
-    if _is_wider(other, fit) or not other.converged:
+    if is_wider(*(each.covariance_px2 - each.unrest_px2 for each in (other, fit))) or not other.converged:
         return fit, crossing
     if alike(other, reading):
         return found
     away = WANDERED_SHARE * (other.center_px - fit.center_px)
     return fit.less_sure(np.outer(away, away)), crossing
-
-
-UNEXPLAINED = 1.2  # chi-squared: of 80 surfaces, right centers had at most 1.16
-SKY_SIGMA_PX, SKY_SIZE_SIGMA = 0.5, 0.01  # of an outline by the sky about it
-
-
-def _from_the_sky(
-    picture: BodyPicture, name: str, pixels: Cutout, fit: DiskFit, crossing: CrossingFit | None
-) -> tuple[DiskFit, CrossingFit | None]:
-    """Return a fit that begins where the sky about the disk ends, if that explains more; else the fit.
-
-    One that has taken the edge of a patch for the limb does not come to the limb by steps.
-    """
-    center, log_size = outline_by_sky(pixels, fit)
-    size = float(np.clip(np.exp(log_size), *START_SIZES))
-    place = replace(
-        fit.place,
-        center_px=center,
-        size_ratio=size,
-        center_sigma_px=max(fit.place.center_sigma_px, SKY_SIGMA_PX),
-        seen_ratio=size,
-        seen_sigma=SKY_SIZE_SIGMA,
-    )
-    other = _fit_from(picture, name, place, pixels)
-    if other is None or not _explains(other, fit):
-        return fit, crossing
-    return other, read_crossings(picture, other)
-
-
-def _explains(other: DiskFit, fit: DiskFit) -> bool:
-    """Tell whether another fit explains what one does not: most of it, likelier, and knowing the center about as well."""
-    most = max(UNEXPLAINED, 0.5 * (1.0 + fit.chi2_reduced))
-    if other.chi2_reduced > most or other.solution.log_likelihood < fit.solution.log_likelihood:
-        return False
-    return not _is_wider(other, fit)
-
-
-def _is_wider(other: DiskFit, fit: DiskFit) -> bool:
-    """Tell whether the pixels tell another fit less of the center, however far either has yet to go."""
-    known, before = (np.trace(each.covariance_px2 - each.unrest_px2) for each in (other, fit))
-    return bool(known > WIDER**2 * before)
 
 
 def _fit_from(

@@ -6,52 +6,52 @@ makes it, while no light where it has body is hardly doubted.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize
 
 from opnav_workbench.arrays import FloatArray
-from opnav_workbench.bodies.disk.fitted import DiskFit
-from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places
+from opnav_workbench.bodies.disk.limb_cells import angle_and_depth, limb_pixels
+from opnav_workbench.bodies.disk.limb_light import LimbLight
+from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.subarray import Cutout
 
 __all__ = ["outline_by_sky", "surprise"]
 
 REACH_SHARE = 0.25  # of the radius, to each side of the fitted outline
-MOST_PIXELS = 8000
+MOST_PIXELS = 2000
 BEGUN_SHARES = (-0.05, 0.0, 0.05)  # of the radius: sizes to begin with
-STEP_SHARE, CLOSE_PX, CLOSE_COST, MOST_CALLS = 0.03, 0.05, 0.5, 120
+STEP_SHARE, CLOSE_PX, CLOSE_COST, MOST_CALLS = 0.03, 0.1, 1.0, 120
 ALBEDOS = (0.2, 0.4, 0.7)  # relative scatter from pixel to pixel; the likeliest counts
 MOST_SIGMAS = 5.0  # that a pixel counts for: what a star or a hit may do
 
 
-def outline_by_sky(pixels: Cutout, fit: DiskFit) -> tuple[FloatArray, float]:
-    """Return center (2,) and logarithm of the size over the model's of the likeliest outline, with the fit's axes."""
-    radius = 0.5 * fit.outline.diameter_px
+def outline_by_sky(
+    pixels: Cutout, outline: Outline, light: LimbLight, brightness_dn: float
+) -> tuple[FloatArray, float]:
+    """Return center (2,) and growth (logarithm of the size) of the likeliest outline of the same shape as one."""
+    radius = 0.5 * outline.diameter_px
     reach = REACH_SHARE * radius
-    outline = fit.made.outline(fit.shape, rough=False)
     line, pixel = limb_pixels(outline, pixels.use.shape, reach, reach).index
     usable = np.flatnonzero(pixels.use[line, pixel])
     index = line, pixel = tuple(at[usable[:: -(-len(usable) // MOST_PIXELS) or 1]] for at in (line, pixel))
-    data = pixels.data_dn[index]
-    x, y, light = pixel.astype(np.float64), line.astype(np.float64), fit.made.light
+    data, x, y = pixels.data_dn[index], pixel.astype(np.float64), line.astype(np.float64)
 
     def cost(step: FloatArray) -> float:
         if max(float(np.hypot(step[0], step[1])), abs(float(step[2]))) > reach:
             return np.inf  # no pixels are asked for there
-        shape = replace(
-            fit.shape, center_px=fit.center_px + step[:2], log_size=fit.shape.log_size + step[2] / radius
+        moved = Outline(
+            outline.center_px + step[:2], outline.angle_rad, outline.radius_px * (1.0 + step[2] / radius)
         )
-        near = limb_places(fit.made.outline(shape, rough=False), x, y)
-        model = fit.brightness_dn * light.at(near.angle_rad, np.maximum(near.depth_px, light.first_px), 1)[0]
+        angle, depth = angle_and_depth(moved, x, y)
+        model = brightness_dn * light.at(angle, np.maximum(depth, light.first_px), 1)[0]
         variance = pixels.variance_dn2(model, index)
         square, wide = (data - model) ** 2 / variance, model**2 / variance
         return surprise(square, wide, ALBEDOS)
 
     tried = [_descended(cost, share * radius, STEP_SHARE * radius) for share in BEGUN_SHARES]
     found = min(tried, key=lambda each: float(each.fun)).x
-    return np.asarray(fit.center_px + found[:2]), fit.shape.log_size + float(found[2]) / radius
+    return np.asarray(outline.center_px + found[:2]), float(np.log1p(found[2] / radius))
 
 
 def surprise(square: FloatArray, wide: FloatArray, scatters: Iterable[float]) -> float:
