@@ -9,7 +9,7 @@ from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk, measure_disk
 from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
-from opnav_workbench.bodies.disk.starts import UNEXPLAINED
+from opnav_workbench.bodies.disk.starts import UNEXPLAINED, fit_disk
 
 
 @pytest.mark.slow(keep=["170"])
@@ -44,3 +44,15 @@ def test_surprise_is_that_of_the_likeliest_scatter():
     assert surprise(square, wide, [1.0]) == pytest.approx(by_hand)
     assert surprise(square, wide, [0.01, 1.0]) == pytest.approx(by_hand)
     assert UNEXPLAINED > 1.0
+
+
+def test_what_fits_from_two_places_differ_by_stays_in_the_sigma():
+    """Two centers as likely as each other, 2 px apart: also once pixels that a cosmic ray hit are left out."""
+    trial = make_trial(draw(9801, 14, "full"))
+    picture = trial.picture
+    disk = measure_disk(picture, trial.name, "disk", None, None)
+    apart = disk.fit.elsewhere_px2
+    assert np.sqrt(np.trace(apart)) > 0.5
+    again = fit_disk(picture, trial.name, disk.place, disk.pixels, disk.fit, elsewhere=True)
+    np.testing.assert_array_equal(again.elsewhere_px2, apart)
+    assert np.all(np.linalg.eigvalsh(again.covariance_px2 - apart) > 0.0)

@@ -90,6 +90,7 @@ class DiskFit:
     excess: float = 1.0
     scatter: float = 1.0
     unrest_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
+    elsewhere_px2: FloatArray = field(default_factory=lambda: np.zeros((2, 2)))
     extrapolated: bool = False
 
     def __post_init__(self) -> None:

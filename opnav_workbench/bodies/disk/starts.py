@@ -68,10 +68,11 @@ def fit_disk(
     begun = place if rested is None else rested.place  # its pieces of limb are those of its size
     problem = DiskProblem(picture, name, pixels, begun, held_log_size)
     fitter = _settled(problem, rested, follows_light=follows_light)
-    unsure_px2 = np.zeros((2, 2))
+    elsewhere_px2 = np.zeros((2, 2)) if rested is None else rested.elsewhere_px2
     if elsewhere and rested is None:
-        fitter, unsure_px2 = _likelier_start(fitter)
-    return fitter.run(MOST_FINE if held_log_size is None else 0).less_sure(unsure_px2)
+        fitter, elsewhere_px2 = _likelier_start(fitter)
+    fit = fitter.run(MOST_FINE if held_log_size is None else 0)
+    return replace(fit.less_sure(elsewhere_px2), elsewhere_px2=elsewhere_px2)
 
 
 def is_wider(known_px2: FloatArray, other_px2: FloatArray) -> bool:
