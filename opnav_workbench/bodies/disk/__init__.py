@@ -37,5 +37,5 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
 ``fitted``
     A fitted disk.
 ``sky_edge``
-    Where the sky about a disk ends: from where a fit begins anew.
+    Where the sky about a disk ends: from where a fit begins as well.
 """

@@ -64,7 +64,9 @@ class DiskFit:
         (`opnav_workbench.bodies.disk.limb_scatter`).
     unrest_px2 : (2, 2) array
         Covariance beyond that of the linearized solution: how far it wandered, or the last place lies from the best one, and
-        how far the solution there would still move.
+        how far the solution there would still move; and `elsewhere_px2`.
+    elsewhere_px2 : (2, 2) array
+        How far fits from other places differ, as likely as those are.
     extrapolated
         Whether the light that the solution means is far from what was tabulated.
     """

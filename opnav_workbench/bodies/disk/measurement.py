@@ -2,8 +2,7 @@
 
 Flow   sky and clipped pixels made sure of -> place (`opnav_workbench.bodies.place`) -> usable pixels -> fit -> cosmic rays
        and stars out, fit again -> limb crossed with the fitted light -> from there fit again, where both differ -> along its
-       own light, where that was extrapolated -> from where the sky ends, where its pixels are not explained -> a small one
-       with other sizes
+       own light, where that was extrapolated -> a small one with other sizes
 """
 
 from dataclasses import dataclass, replace
