@@ -35,7 +35,7 @@ def test_cells_of_empty_sky_change_no_likelihood(disk):
 def test_cells_stay_what_they_are_while_an_outline_hardly_moves(disk):
     fit, picture = disk.fit, disk.picture
     problem = DiskProblem(picture, "BODY", _usable(picture, "BODY", disk.place), disk.place)
-    fitter = Fitter(problem, fit.shape, fit)
+    fitter = Fitter(problem, fit)
     fitter._solve()
     first = fitter.linear.celled
     for away, same in ((0.2, True), (0.5, False)):

@@ -178,7 +178,7 @@ def test_pieces_of_limb_that_an_edge_cuts_weigh_less():
         trial = make_trial(TrialSetup(4, 100.0, 25.0, family=family, contrast=contrast, peak_dn=1500.0))
         disk = measure_disk(trial.picture, trial.name, "disk", None, None)
         problem = DiskProblem(disk.picture, trial.name, disk.pixels, disk.place)
-        fitter = Fitter(problem, disk.fit.shape, disk.fit)
+        fitter = Fitter(problem, disk.fit)
         fitter._solve()
         before = fitter.linear.system.variance
         patchy.append(fitter._patchiness(fitter.linear.celled, fitter.linear.columns))

@@ -148,10 +148,12 @@ class _FitState(NamedTuple):
 
 
 class Fitter:
-    """A disk that is being fitted, starting from a shape or from another fit.
+    """A disk that is being fitted.
 
     Parameters
     ----------
+    start
+        A shape, or another fit of the same problem.
     follows_light
         Take steps along the slopes of the light that each solution means, and not of the one that was tabulated. Where both
         differ, the others come to rest where nothing is explained; but where no light of the model is the picture's, they
@@ -159,7 +161,7 @@ class Fitter:
     """
 
     def __init__(
-        self, problem: DiskProblem, shape: DiskShape, start: DiskFit | None, *, follows_light: bool = False
+        self, problem: DiskProblem, start: DiskShape | DiskFit, *, follows_light: bool = False
     ) -> None:
         self.problem, self.follows_light = problem, follows_light
         self.lengths: list[float] = []
@@ -167,19 +169,19 @@ class Fitter:
         self.doubt: FloatArray | float = 1.0
         self.patchy = np.zeros(problem.pieces)
         self.celled: _CelledSamples | None = None
-        self.likelihood = -np.inf
+        self.tables_likelihood = -np.inf
         self.refused: DiskShape | None = None  # of which no tables were likelier than the last
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
-        if start is not None:
+        if isinstance(start, DiskFit):
             self.shape, self.prior, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
             self.piece_albedo = start.piece_albedo
             self.tunings = 0
             return
         self.tunings = COARSE_TUNINGS
-        self.shape = shape
+        self.shape = start
         self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
-        self.made = problem.tabulated(shape)
+        self.made = problem.tabulated(start)
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
 
@@ -208,7 +210,7 @@ class Fitter:
     def settle(self) -> None:
         """Fit with coarse light."""
         self._solve()
-        self.likelihood = self.log_likelihood  # of the last tables as they were made
+        self.tables_likelihood = self.log_likelihood  # of the last tables as they were made
         for _ in range(self.tunings):
             self._tune(other_light=self.made.light.on_slopes is None)
             self._iterate(MOST_TURNS)
@@ -356,7 +358,7 @@ class Fitter:
                 self.linear = kept
         self.prior = best.prior
         self.linear = self.linear._replace(solution=self._solution(system))
-        self.likelihood += self.log_likelihood - before
+        self.tables_likelihood += self.log_likelihood - before
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
@@ -424,7 +426,7 @@ class Fitter:
         passed, uphill, rests, anew = [], 0, False, True
         for _ in range(most):
             if not anew:
-                self._reweigh()  # costs with other weights are not to be compared
+                self._reweigh()  # costs with other weights are not to be compared; new tables have been weighed
             length, lower = self._step()
             self.lengths.append(length)
             passed.append(self.shape.center_px)
@@ -510,8 +512,8 @@ class Fitter:
             self._reweigh()
             likelihood = self.log_likelihood
             finer = both and not moved  # the same light, better known: likelier or not
-            if finer or likelihood > self.likelihood - 0.5 * self._lost():
-                self.likelihood, self.refused = likelihood, None
+            if finer or likelihood > self.tables_likelihood - 0.5 * self._lost():
+                self.tables_likelihood, self.refused = likelihood, None
                 return True
         if not fine:
             self.refused = now

@@ -104,10 +104,15 @@ class DiskFit:
         return self.shape.center_px
 
     @property
+    def known_px2(self) -> FloatArray:
+        """Covariance of the center (2, 2) by its linearized solution, however far the fit has yet to go."""
+        own = self.solution.covariance[np.ix_(CENTER, CENTER)]
+        return np.asarray(self.excess * self.scatter * own)
+
+    @property
     def covariance_px2(self) -> FloatArray:
         """Covariance of the center (2, 2), marginal over all else."""
-        own = self.excess * self.scatter * self.solution.covariance[np.ix_(CENTER, CENTER)]
-        return np.asarray(own + self.unrest_px2)
+        return np.asarray(self.known_px2 + self.unrest_px2)
 
     def less_sure(self, covariance_px2: FloatArray) -> "DiskFit":
         """Return the fit with so much more (2, 2) in the center's covariance."""

@@ -461,7 +461,7 @@ def _along_its_light(
     if found is None:
         return fit, crossing
     other, reading = found
-    if is_wider(*(each.covariance_px2 - each.unrest_px2 for each in (other, fit))) or not other.converged:
+    if is_wider(other.known_px2, fit.known_px2) or not other.converged:
         return fit, crossing
     if alike(other, reading):
         return found

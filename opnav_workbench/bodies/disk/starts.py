@@ -30,8 +30,8 @@ ELSEWHERE_SIGMAS = 1.0  # of that, or its limb: an outline by the sky lies elsew
 UNEXPLAINED = 1.2  # chi-squared: of 80 surfaces, right centers had at most 1.16
 WORSE = 1.1  # chi-squared of a likelier fit over that of the other one
 WIDER = 2.0  # sigma of a fit that explains more, at most, over that of the other one
-# Logarithms of likelihoods: of fits from two places, of 150 trials, the wrong one was the likelier by up to 37.
-LEVELED = 20.0
+# In the logarithm of a likelihood: of fits from two places, of 150 trials, the wrong one was the likelier by up to 37.
+SPURIOUS = 20.0
 
 
 def fit_disk(
@@ -82,13 +82,17 @@ def is_wider(known_px2: FloatArray, other_px2: FloatArray) -> bool:
 
 def _settled(problem: DiskProblem, start: DiskFit | None = None, *, follows_light: bool = False) -> Fitter:
     """Return a fit with coarse light from the place of a problem, or from another fit."""
+    fitter = Fitter(problem, start or _placed_shape(problem), follows_light=follows_light)
+    fitter.settle()
+    return _with_other_law(fitter) if start is None and fitter.is_nearly_even else fitter
+
+
+def _placed_shape(problem: DiskProblem) -> DiskShape:
+    """Return the shape that a disk has at the place of a problem."""
     place = problem.place
     strain, law = np.append(place.strain, np.zeros(3)), np.array([problem.law_prior[0], 0.0])
     log_size = float(np.log(place.size_ratio))
-    shape = DiskShape(place.center_px, log_size, strain, law, 0.0, np.zeros(problem.pieces))
-    fitter = Fitter(problem, shape, start, follows_light=follows_light)
-    fitter.settle()
-    return _with_other_law(fitter) if start is None and fitter.is_nearly_even else fitter
+    return DiskShape(place.center_px, log_size, strain, law, 0.0, np.zeros(problem.pieces))
 
 
 def _with_other_law(fitter: Fitter) -> Fitter:
@@ -100,9 +104,8 @@ def _with_other_law(fitter: Fitter) -> Fitter:
     problem, shape = fitter.problem, fitter.shape
     power = float(problem.own_law[1] + shape.law[1])
     law = MINNAERT_LAW if power > 0.5 * MINNAERT_LAW[1] else MIXED_LAW
-    other = Fitter(
-        problem, replace(shape, law=law - problem.own_law), None, follows_light=fitter.follows_light
-    )
+    begun = replace(shape, law=law - problem.own_law)
+    other = Fitter(problem, begun, follows_light=fitter.follows_light)
     if not other.is_likelier(fitter):
         return fitter
     other.settle()
@@ -112,17 +115,22 @@ def _with_other_law(fitter: Fitter) -> Fitter:
 def _likelier_start(fitter: Fitter) -> tuple[Fitter, FloatArray]:
     """Return a fit with coarse light, or one from where the sky ends; and (2, 2) how far both are, as likely as that is."""
     other = _from_the_sky(fitter)
-    if other is None or is_wider(other.known_px2, fitter.known_px2):
-        return fitter, np.zeros((2, 2))
-    if other.chi2_reduced() > max(UNEXPLAINED, WORSE * fitter.chi2_reduced()):
+    if other is None or not _explains(other, fitter):
         return fitter, np.zeros((2, 2))
     more, away = other.log_likelihood - fitter.log_likelihood, other.shape.center_px - fitter.shape.center_px
-    share = float(expit(-abs(more) / LEVELED))
+    share = float(expit(-abs(more) / SPURIOUS))
     return other if more > 0.0 else fitter, share * np.outer(away, away)
 
 
+def _explains(other: Fitter, fitter: Fitter) -> bool:
+    """Tell whether another fit explains about as much as one, and knows the center about as well."""
+    if is_wider(other.known_px2, fitter.known_px2):
+        return False
+    return other.chi2_reduced() <= max(UNEXPLAINED, WORSE * fitter.chi2_reduced())
+
+
 def _from_the_sky(fitter: Fitter) -> Fitter | None:
-    """Return a fit with coarse light that begins where the sky about the disk ends; None if another one has led there.
+    """Return a fit with coarse light that begins where the sky about the disk ends; None where one has led there already.
 
     One that has taken the edge of a patch for the limb does not come to the limb by steps: it makes its axes longer and
     shorter for it, so that the sky is asked for an outline with those of the model.
