@@ -524,7 +524,7 @@ class Fitter:
         """Return the surface that the solution means."""
         solution = self.linear.solution
         mean = float(solution.theta[Unknown.BRIGHTNESS]) / self.brightness
-        return Patches(mean, solution.nodes[:, :-1] / self.brightness, self.prior.on_slopes)
+        return Patches(mean, solution.albedo / self.brightness, self.prior.on_slopes)
 
     def _return_to(self, state: _FitState) -> None:
         self.shape, self.brightness, self.piece_albedo, self.made, self.linear = state
@@ -568,7 +568,7 @@ class Fitter:
             strained,
             shape.law + near * np.clip(law - shape.law, -MOST_LAW, MOST_LAW),
             self._bounded_blur(shape.blur_px2 + near * float(theta[Unknown.BLUR] - shape.blur_px2)),
-            shape.rough_px + part * (solution.nodes[:, -1] - shape.rough_px),
+            shape.rough_px + part * (solution.height_px - shape.rough_px),
         )
         return part * float(np.hypot(*center))
 
@@ -606,13 +606,14 @@ class Fitter:
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
         weight = self.problem.rim_weight
-        albedo = linear.solution.nodes[:, :-1] @ weight / weight.sum()
+        albedo = linear.solution.albedo @ weight / weight.sum()
         brightness = self._brightness(linear)
         self.brightness = float(
             np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
-        self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
+        bright = np.maximum((own + albedo) / self.brightness, 0.1)
+        self.piece_albedo = np.array(np.broadcast_to(bright, self.problem.pieces))
         if self.follows_light:
             self.made = self.made.sloped(linear.solution.theta)
 
@@ -626,7 +627,7 @@ class Fitter:
         known = np.array([*made.shape.law, *made.strain[2:], made.shape.blur_px2])
         unit = system.shared[Unknown.BRIGHTNESS]
         light = np.tensordot(solution.theta[beyond] - known, system.shared[beyond], axes=1)
-        light += np.einsum("jk,kjc->jc", solution.nodes[:, :-1], system.own[:-1])
+        light += system.albedo_dn(solution)
         power = max(float(np.sum(unit**2)), np.finfo(float).tiny)
         return float(solution.theta[Unknown.BRIGHTNESS] + np.sum(unit * light) / power)
 
@@ -699,6 +700,7 @@ class Fitter:
         )
         means[FIGURE[1:]] += shaded  # the outline has its strain, the shading that of the tables
         usable = np.isfinite(variance)
+        own, amplified = problem.field.split(parts)
         light = lit * np.maximum(means[0], means[0] + means[Unknown.WINGS] / self.brightness)
         return LimbSystem(
             data=data,
@@ -706,7 +708,9 @@ class Fitter:
             seen_variance=seen_variance,
             light=np.where(usable, np.maximum(np.maximum(light, means[RELIEF]), 0.0), 0.0),
             shared=means[:SHARED],
-            own=np.concatenate([parts, means[SHARED : SHARED + 1]]),
+            parts=parts,
+            own=np.concatenate([own, means[SHARED : SHARED + 1]]),
+            amplified=amplified,
             prior_mean=problem.prior_mean(shape.center_px),
             prior_precision=problem.prior_precision,
             scales=problem.scales,

@@ -142,7 +142,7 @@ class DiskFit:
         theta = self.solution.theta
         linear = [Unknown.BRIGHTNESS, Unknown.LEVEL, Unknown.SLOPE_PIXEL, Unknown.SLOPE_LINE]
         model = theta[linear] @ self.columns[linear] + self._beyond_tables_dn(self.lit_dn)
-        albedo = between_pieces(self.pixels.angle_rad, self.solution.nodes[:, :-1])
+        albedo = between_pieces(self.pixels.angle_rad, self.solution.albedo)
         return np.asarray(model + np.einsum("nk,kn->n", albedo, self.columns[ALBEDO]))
 
     def sigma(self, unknown: Unknown) -> float:

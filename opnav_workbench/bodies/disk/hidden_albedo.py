@@ -16,7 +16,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 
-__all__ = ["HiddenAlbedo", "hats", "hidden_albedo"]
+__all__ = ["ArcHats", "HiddenAlbedo", "hats", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
 ARCS, TURNS = (
@@ -62,6 +62,25 @@ def hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
     hats = np.concatenate([np.ones((1, len(arc))), up])
     hats[:-1] -= up
     return np.asarray(hats)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArcHats:
+    """Hat functions of the arc from the limb, alike in all directions; `node_rad` (k,) are their peaks, from 0 upward."""
+
+    node_rad: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze_arrays(self)
+
+    @property
+    def count(self) -> int:
+        """Number of hats, k."""
+        return len(self.node_rad)
+
+    def at(self, share: FloatArray, angle_rad: FloatArray) -> FloatArray:  # noqa: ARG002  pieces have their own
+        """Return the hats (k, n) at shares (n,) of the limb's radius in directions (n,)."""
+        return hats(share, self.node_rad)
 
 
 def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, pieces: int) -> HiddenAlbedo:

@@ -5,11 +5,16 @@ surface that is divided by boundaries at random places, and hemispheres that dif
 heights are a ring of blocks of pieces (`opnav_workbench.bodies.disk.ring`).
 
 Order  piece, node; the last of q nodes is the height of the limb, px, all others are albedos
+
+A disk that is not much wider than the PSF has no pieces that show light of their own:
+`opnav_workbench.bodies.disk.surface_modes`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
 from math import factorial
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,7 +25,23 @@ from opnav_workbench.bodies.disk.limb_cells import piece_angles
 from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
 from opnav_workbench.bodies.silhouette import TURN
 
-__all__ = ["BLOCK", "FieldPrior", "LimbField", "limb_field"]
+__all__ = [
+    "ALBEDO",
+    "APART",
+    "BLOCK",
+    "BROAD_RAD",
+    "GRAIN",
+    "HEMISPHERES",
+    "LENGTH",
+    "Amplitudes",
+    "DiskField",
+    "FieldPrior",
+    "LimbField",
+    "limb_field",
+    "relief_covariance",
+]
+
+ALBEDO, LENGTH, GRAIN, ROUGH, HEMISPHERES = range(5)  # of the logarithms of a prior
 
 BLOCK = 4  # pieces: with their neighbors they hold distances up to 7
 BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot tell that from another center
@@ -68,6 +89,73 @@ class FieldPrior:
         return cls(albedo, length, grain, rough, on_slopes, hemispheres)
 
 
+class Amplitudes(NamedTuple):
+    """What is believed of amplitudes that all pieces share.
+
+    Attributes
+    ----------
+    covariance, precision : (r, r) arrays
+        Relative.
+    log_determinant
+        Of the covariance.
+    changes : mapping of int to (r, r) array
+        Of the covariance, with those of the logarithms of a prior that it depends on.
+    """
+
+    covariance: FloatArray
+    precision: FloatArray
+    log_determinant: float
+    changes: Mapping[int, FloatArray]
+
+    @classmethod
+    def of(cls, covariance: FloatArray, changes: Mapping[int, FloatArray]) -> "Amplitudes":
+        """Return that of a covariance."""
+        value, vector = np.linalg.eigh(covariance)
+        value = np.maximum(value, APART * value[-1])
+        return cls(covariance, (vector / value) @ vector.T, float(np.log(value).sum()), changes)
+
+
+class DiskField(Protocol):
+    """What a picture's light may differ by from that of an even disk of j pieces, in k parts of the light.
+
+    Pieces have albedos of their own, which are a ring of blocks with their heights, and all pieces share r amplitudes.
+    """
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces, j."""
+
+    def split(self, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return what of parts (k, j, c) pieces have of their own (q - 1, j, c), and what the amplitudes have (r, j, c)."""
+
+    def ring(self, prior: FieldPrior, brightness_dn: float) -> RingPrior:
+        """Return the precision of what pieces have of their own, DN, and of their heights: blocks of `BLOCK` pieces."""
+
+    def amplitudes(self, prior: FieldPrior) -> Amplitudes:
+        """Return what is believed of the amplitudes."""
+
+    def albedo(self, own: FloatArray, amplitudes: FloatArray) -> FloatArray:
+        """Return the albedo of the parts (j, k), or (1, k) if pieces share it, by own (j, q - 1) and shared (r,)."""
+
+    def at_limb(self, albedo: FloatArray) -> FloatArray:
+        """Return the albedo on the body (j, m) at m places near each piece of limb."""
+
+    def part_covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
+        """Return the covariance (k, k) of the parts of a piece."""
+
+    def scattered(
+        self, prior: FieldPrior, brightness_dn: float, shares: FloatArray, parts: FloatArray, limb: FloatArray
+    ) -> FloatArray:
+        """Return the covariance (n, n) of sums of parts (n, k) and of heights (n,) of pieces that have `shares` (n, j)."""
+
+
+def relief_covariance(prior: FieldPrior, pieces: np.ndarray, around: int) -> FloatArray:
+    """Return the covariance (m, m) of the heights of some pieces (m,) of all that are around."""
+    apart = np.abs(pieces[:, None] - pieces)
+    turn = np.minimum(apart, around - apart) * (TURN / around)
+    return np.asarray(prior.rough_px**2 * np.exp(-turn / RELIEF_RAD))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LimbField:
     """The field of a limb of j pieces, with k albedos in each.
@@ -101,6 +189,40 @@ class LimbField:
         s = len(covariance) // 2
         return ring_prior(covariance[:s, :s], covariance[s:, :s], self.pieces // BLOCK)
 
+    def split(self, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the parts as they are (k, j, c), and those of the hemispheres (r, j, c)."""
+        return parts, np.matmul(parts.transpose(1, 2, 0), self.modes).transpose(2, 0, 1)
+
+    def amplitudes(self, prior: FieldPrior) -> Amplitudes:
+        """Return what is believed of the hemispheres."""
+        covariance = prior.hemispheres**2 * np.eye(self.modes.shape[-1])
+        return Amplitudes.of(covariance, {HEMISPHERES: 2.0 * covariance})
+
+    def albedo(self, own: FloatArray, amplitudes: FloatArray) -> FloatArray:
+        """Return the albedo of the parts (j, k)."""
+        return np.asarray(own + self.modes @ amplitudes)
+
+    def at_limb(self, albedo: FloatArray) -> FloatArray:
+        """Return the albedo at the nodes (j, k): that of the parts."""
+        return albedo
+
+    def part_covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
+        """Return the covariance (k, k) of the nodes of a piece."""
+        patches = self._covariance(prior, brightness_dn, np.arange(1))[:-1, :-1]
+        broad = (prior.hemispheres * brightness_dn) ** 2 * (self.modes[0] @ self.modes[0].T)
+        return np.asarray(patches + broad)
+
+    def scattered(
+        self, prior: FieldPrior, brightness_dn: float, shares: FloatArray, parts: FloatArray, limb: FloatArray
+    ) -> FloatArray:
+        """Return the covariance (n, n) that the field gives to sums of parts (n, k) and of heights (n,).
+
+        `shares` (n, j) are those of the pieces.
+        """
+        seen = np.column_stack([parts, limb])
+        response = (shares[:, :, None] * seen[:, None]).reshape(len(seen), -1)
+        return np.asarray(response @ self.covariance(prior, brightness_dn) @ response.T)
+
     def covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
         """Return the covariance (j q, j q) of the whole field, hemispheres included."""
         every = np.arange(self.pieces)
@@ -118,9 +240,7 @@ class LimbField:
         chord = np.arccos(np.clip(place @ place.T, -1.0, 1.0))
         patches = (prior.albedo * brightness_dn) ** 2 * np.exp(-chord / prior.length_rad)
         patches[np.diag_indices(len(patches))] *= 1.0 + APART
-        apart = np.abs(pieces[:, None] - pieces)
-        turn = np.minimum(apart, self.pieces - apart) * (TURN / self.pieces)
-        rough = prior.rough_px**2 * np.exp(-turn / RELIEF_RAD)
+        rough = relief_covariance(prior, pieces, self.pieces)
         hidden = prior.albedo**2 * self.hidden.covariance_px2(prior.length_rad)
         out = np.zeros((m, k + 1, m, k + 1))
         out[:, :-1, :, :-1] = patches.reshape(m, k, m, k)

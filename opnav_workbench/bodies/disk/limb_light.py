@@ -14,19 +14,19 @@ Law     A mixture of Lambert's law and Lommel-Seeliger's, which is Lambert's tim
         laws of surfaces (McEwen 1991, doi:10.1016/0019-1035(91)90053-V); Minnaert's has powers of mu0 and mu. Another
         share in the mixture, and a power of mu0 mu, make up for a law that the body does not have.
 Albedo  Hat functions of the arc b from the limb, cos b = r / r_limb: what lies at the limb is foreshortened, and the
-        albedo of a body varies over arcs of its surface, not over pixels.
+        albedo of a body varies over arcs of its surface, not over pixels. Of disks not much wider than the PSF, modes of
+        all that is in sight.
 Wings   What a PSF may have beside what is known of it: `opnav_workbench.bodies.disk.stray_light`.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from opnav_workbench.arrays import FloatArray, IntArray, freeze_arrays
-from opnav_workbench.bodies.disk.hidden_albedo import hats
 from opnav_workbench.bodies.disk.limb_cells import SquareCorners, between_pieces
 from opnav_workbench.bodies.disk.stray_light import stray_light
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model, pixel_rays
@@ -37,7 +37,7 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, Minnaert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LimbLight", "Patches", "cell_means", "limb_light", "own_law", "psf_variance"]
+__all__ = ["PLANES", "LightParts", "LimbLight", "Patches", "cell_means", "limb_light", "own_law", "psf_variance"]
 
 PLANES = (
     "light", "blur", "wings", "halo",
@@ -71,8 +71,19 @@ RELIEF = 0.2  # sine of the slopes that terrain has
 MOST_SHARPENED = 4.0  # logarithm, of a spectrum
 
 
+class LightParts(Protocol):
+    """k functions on the surface in sight: the albedo is a sum of them."""
+
+    @property
+    def count(self) -> int:
+        """Number of them, k."""
+
+    def at(self, share: FloatArray, angle_rad: FloatArray) -> FloatArray:
+        """Return them (k, n) at shares (n,) of the limb's radius in directions (n,)."""
+
+
 class Patches(NamedTuple):
-    """Brightness of a surface over that of tables: of all of it; by albedo (j, k) at pieces and arcs, on slopes or not."""
+    """Brightness of a surface over that of tables: of all of it; by albedo (j, k) or (1, k) of parts, on slopes or not."""
 
     mean: float
     nodes: FloatArray
@@ -93,8 +104,8 @@ class LimbLight:
         y along line, z toward the camera; cos and sin are the strains in the plane, xx = -yy and xy; and the light of
         slopes that face the Sun, `RELIEF`. Then the light of each hat function of the albedo, whose sum is the light, and
         that of the same hats on slopes that face the Sun; or one of both.
-    node_rad : (k,) array
-        Arc from the limb of each hat function's peak.
+    parts
+        Number of parts, k.
     fine
         Whether the directions are close enough, and worth, cubic interpolation.
     law_means : (2,) array
@@ -113,7 +124,7 @@ class LimbLight:
     first_px: float
     step_px: float
     tables: FloatArray
-    node_rad: FloatArray
+    parts: int
     fine: bool
     law_means: FloatArray
     on_slopes: bool | None
@@ -133,7 +144,7 @@ class LimbLight:
         """Return the light of the hats (k, m), on slopes that face the Sun or not, of what `at` returns (p, m)."""
         if self.on_slopes not in (None, on_slopes):
             raise ValueError("these tables hold the hats of the other light")
-        first, k = len(PLANES), len(self.node_rad)
+        first, k = len(PLANES), self.parts
         return rows[first + k :] if on_slopes and self.on_slopes is None else rows[first : first + k]
 
     def at(self, angle_rad: FloatArray, depth_px: FloatArray, first: int | None = None) -> FloatArray:
@@ -203,7 +214,7 @@ def limb_light(
     outline: Outline,
     range_scale: float,
     reach_px: tuple[float, float],
-    node_rad: FloatArray,
+    parts: LightParts,
     law: FloatArray,
     strain: FloatArray,
     blur_px2: float = 0.0,
@@ -220,8 +231,8 @@ def limb_light(
         Range over the a priori one, which the outline was made with.
     reach_px : (float, float)
         Depths inward and outward that are needed.
-    node_rad : (k,) array
-        Arcs from the limb at which the albedo has nodes, from 0 upward.
+    parts
+        Of which the albedo is made up.
     law : (2,) array
         Lommel-Seeliger's share and the power of mu0 mu, beyond those of the body's own law, `own_law`.
     strain : (5,) array
@@ -246,7 +257,7 @@ def limb_light(
     depth = np.arange(first, reach_px[1] + step, step)
     small = radius < PLANE_RADIUS_PX[int(fine)]
     build = _spread_in_plane if small else _spread_along_rays
-    hatted = _Hats(node_rad, (0, -1) if on_slopes is None else (-int(on_slopes),))
+    hatted = _Hats(parts, (0, -1) if on_slopes is None else (-int(on_slopes),))
     surface = _Surface(law, np.asarray(np.linalg.inv(strain_matrix(strain)), dtype=np.float64))
     tables = build(picture, model, outline, angle, depth, hatted, surface, blur_px2)
     tables = tables / max(float(tables[0].max(initial=0.0)), np.finfo(float).tiny)
@@ -263,7 +274,7 @@ def limb_light(
     every = np.concatenate([np.stack([total, slopes[..., 2], *stray]), tables[1:]])
     kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
     return LimbLight(
-        float(first), float(step), kept, node_rad, fine, law_means, on_slopes, variance, limb, slopes
+        float(first), float(step), kept, parts.count, fine, law_means, on_slopes, variance, limb, slopes
     )
 
 
@@ -308,9 +319,9 @@ class _Surface(NamedTuple):
 
 
 class _Hats(NamedTuple):
-    """Nodes of the hats (k,), and the light that they are on: the first row of `_light_changes`, the last, or both."""
+    """Parts of the light, and which that is: the first row of `_light_changes`, the last, or both."""
 
-    node_rad: FloatArray
+    parts: LightParts
     rows: tuple[int, ...]
 
 
@@ -319,6 +330,7 @@ def _light_rows(
     model: BodyModel,
     center_px: FloatArray,
     within: FloatArray,
+    angle: FloatArray,
     rays: FloatArray,
     hatted: _Hats,
     surface: _Surface,
@@ -329,7 +341,7 @@ def _light_rows(
     """
     body = PlacedBody(replace(model, flux_e=None), picture.camera.pixel_scale_rad)
     changes = _light_changes(picture, body, center_px, rays, surface)
-    parts = hats(within, hatted.node_rad)
+    parts = hatted.parts.at(within, angle)
     return np.concatenate([changes, *(changes[row] * parts for row in hatted.rows)])
 
 
@@ -523,7 +535,8 @@ def _spread_along_rays(
     within = np.clip(1.0 - node**2 / limb[:, None], 0.0, 1.0 - GRAZE)
     fan = RayFan(picture, outline.center_px, angle, limb, float(within.min()))
     rays = fan.at(np.repeat(np.arange(len(angle)), len(node)), within.ravel())
-    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, surface)
+    turned = np.repeat(angle, len(node))
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), turned, rays, hatted, surface)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
     good = fft.next_fast_len(n + 2 * half + 1, real=True)
@@ -617,7 +630,8 @@ def _spread_in_plane(
     half = int(np.ceil((float(outline.radius_px.max()) + 2.0) / step))
     offset = step * np.arange(-half, half + 1)
     x, y = np.meshgrid(offset, offset)
-    limb, reach = outline.radius(np.arctan2(y, x)), np.hypot(x, y)
+    around, reach = np.arctan2(y, x), np.hypot(x, y)
+    limb = outline.radius(around)
     flat_x, flat_y, share = x.ravel(), y.ravel(), np.maximum(reach / limb, 1e-9).ravel()
 
     depth_px = (reach - limb).ravel()
@@ -626,7 +640,8 @@ def _spread_in_plane(
     length = within / share[inside, None]
     away = np.stack([flat_x[inside, None] * length, flat_y[inside, None] * length], axis=-1)
     rays = pixel_rays(picture, outline.center_px + away.reshape(-1, 2))
-    rows = _light_rows(picture, model, outline.center_px, within.ravel(), rays, hatted, surface)
+    turned = np.repeat(around.ravel()[inside], within.shape[1])
+    rows = _light_rows(picture, model, outline.center_px, within.ravel(), turned, rays, hatted, surface)
     sources = np.zeros((len(rows), depth_px.size), dtype=np.float32)
     sources[:, inside] = (rows * weights.ravel()).reshape(-1, *weights.shape).sum(axis=2) * covered
     sources = sources.reshape(-1, *x.shape)

@@ -1,10 +1,11 @@
 """The likelihood of cells of a limb, marginal over an albedo that is a random field on the body and over a rough limb.
 
-    y = X theta + N (w + V b) + e,    w ~ N(0, K),  b ~ N(0, h^2),  theta ~ N(theta_0, 1 / Lambda),  e ~ N(0, D)
+    y = X theta + N (w + V b) + e,    w ~ N(0, K),  b ~ N(0, B),  theta ~ N(theta_0, 1 / Lambda),  e ~ N(0, D)
 
 y are the means of data in cells (j pieces of limb with c depths), X what all pieces share (center, size, axes, law, PSF,
 background), and N, block by block, what each piece has of its own: its albedo at k arcs from the limb, and the place of
-its limb. w are patches of albedo and heights, a ring of blocks (`LimbField.ring`), b the amplitudes of hemispheres. With
+its limb. w are patches of albedo and heights, a ring of blocks (`DiskField.ring`), b amplitudes that all pieces share:
+hemispheres, or all patches of a small disk (`opnav_workbench.bodies.disk.surface_modes`), where U stands for N V. With
 M = K^-1 + N^T D^-1 N, a ring of blocks as well, every quantity follows from one decomposition of M (Rasmussen & Williams
 2006, "Gaussian Processes for Machine Learning", section 2.7 and equation A.9). Its slopes by the prior need no more of the
 inverse than the blocks that M has.
@@ -17,15 +18,23 @@ from typing import NamedTuple
 import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
-from opnav_workbench.bodies.disk.limb_field import BLOCK, FieldPrior, LimbField
+from opnav_workbench.bodies.disk.limb_field import (
+    ALBEDO,
+    BLOCK,
+    GRAIN,
+    LENGTH,
+    ROUGH,
+    Amplitudes,
+    DiskField,
+    FieldPrior,
+)
 from opnav_workbench.bodies.disk.ring import RingFactor, RingPrior, products
 from opnav_workbench.bodies.scales import RIDGE, MixedSolution, mixed_solution
 
 __all__ = ["Ascent", "LimbScores", "LimbSystem", "MarginalSolution"]
 
 SMALL_STEP = 1e-5  # in a logarithm, for the slope of the field's own precision
-IN_RING = (0, 1, 3)  # which of the logarithms of a prior the ring depends on
-GRAIN, HEMISPHERES = 2, 4
+IN_RING = (ALBEDO, LENGTH, ROUGH)  # which of the logarithms of a prior the ring depends on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,8 +47,10 @@ class MarginalSolution:
         Marginal over everything, relative to the noise of the cells.
     theta : (p,) array
     covariance : (p, p) array
-    nodes : (j, q) array
-        Mean of the random field.
+    albedo : (j, k) or (1, k) array
+        Mean of the random field in the parts of the light, DN: by piece, or for all of them.
+    height_px : (j,) array
+        Of the pieces of limb.
     chi2
         y^T C^-1 y at the solution.
     held_chi2
@@ -54,7 +65,8 @@ class MarginalSolution:
     log_likelihood: float
     theta: FloatArray
     covariance: FloatArray
-    nodes: FloatArray
+    albedo: FloatArray
+    height_px: FloatArray
     chi2: float
     held_chi2: float
     held_cost: float
@@ -101,8 +113,8 @@ class LimbScores(NamedTuple):
 class WeighedCells(NamedTuple):
     """Cells weighed by noise and grain, W = 1 / D.
 
-    `columns` are [X, N V, y] (p + r + 1, j, c), `own` N^T W N (j, q, q), `cross` N^T W [X, N V, y] as blocks of the ring,
-    `plain` [X, N V, y]^T W [X, N V, y]. `log_weights` is the sum of the logarithms of the weights, relative to those that
+    `columns` are [X, U, y] (p + r + 1, j, c), `own` N^T W N (j, q, q), `cross` N^T W [X, U, y] as blocks of the ring,
+    `plain` [X, U, y]^T W [X, U, y]. `log_weights` is the sum of the logarithms of the weights, relative to those that
     the noise of the data alone would give.
     """
 
@@ -116,23 +128,24 @@ class WeighedCells(NamedTuple):
 
 
 class _MarginalEquations(NamedTuple):
-    """K^-1; M, and what it leaves of [X, N V, y]; normal equations with the prior; their solution over all scales.
+    """K^-1; M, and what it leaves of [X, U, y]; normal equations with the prior; their solution over all scales.
 
-    `shared` is p, how many of the unknowns are no hemispheres; `amplitude` the standard deviation h of these, DN.
+    `shared` is p, how many of the unknowns are no amplitudes; `amplitudes` what is believed of these, over `brightness_dn`.
     """
 
     shared: int
     ring: RingPrior
     factor: RingFactor
     halves: list[FloatArray]
-    amplitude: float
+    amplitudes: Amplitudes
+    brightness_dn: float
     normal: FloatArray
     right: FloatArray
     whole: float
     mixed: MixedSolution
 
-    def without_hemispheres(self) -> tuple[FloatArray, FloatArray, float]:
-        """Return the normal equations of what is shared, and chi-squared without it, marginal over hemispheres."""
+    def without_amplitudes(self) -> tuple[FloatArray, FloatArray, float]:
+        """Return the normal equations of what is shared, and chi-squared without it, marginal over amplitudes."""
         p, normal, right = self.shared, self.normal, self.right
         gain = np.linalg.solve(normal[p:, p:], np.column_stack([normal[p:, :p], right[p:]]))
         less = normal[:p, p:] @ gain
@@ -142,15 +155,15 @@ class _MarginalEquations(NamedTuple):
             self.whole - float(right[p:] @ gain[:, p]),
         )
 
-    def broad_width(self) -> float:
-        """Return what the hemispheres add to a cost where they are not among the unknowns of its evidence."""
+    def amplitudes_width(self) -> float:
+        """Return what the amplitudes add to a cost where they are not among the unknowns of its evidence."""
         return float(np.linalg.slogdet(self.normal[self.shared :, self.shared :])[1])
 
     def width(self, cells: WeighedCells) -> float:
         """Return what a cost has beside chi-squared: how wide a model takes its errors to be, in cells that are expected."""
         field = self.factor.log_determinant - self.ring.log_determinant
-        hemispheres = len(self.right) - self.shared
-        return field + 2.0 * hemispheres * float(np.log(self.amplitude)) - cells.log_weights - cells.n_cells
+        scale = 2.0 * (len(self.right) - self.shared) * float(np.log(self.brightness_dn))
+        return field + self.amplitudes.log_determinant + scale - cells.log_weights - cells.n_cells
 
     def log_likelihood(self, cells: WeighedCells) -> float:
         return self.mixed.log_evidence - 0.5 * (self.whole + self.width(cells))
@@ -171,8 +184,12 @@ class LimbSystem:
         What `FieldPrior.grain` is relative to, DN: the light of slopes that face the Sun.
     shared : (p, j, c) array
         X.
+    parts : (k, j, c) array
+        Of the light.
     own : (q, j, c) array
         N; the last of q is the place of the limb.
+    amplified : (r, j, c) array
+        U, what all pieces have of each of the amplitudes.
     prior_mean, prior_precision : (p,) arrays
     scales : (k, p) array
         Precisions about 0 that stand beside `prior_precision`, one row for each scale of the figure.
@@ -187,24 +204,28 @@ class LimbSystem:
     seen_variance: FloatArray
     light: FloatArray
     shared: FloatArray
+    parts: FloatArray
     own: FloatArray
+    amplified: FloatArray
     prior_mean: FloatArray
     prior_precision: FloatArray
     scales: FloatArray
-    field: LimbField
+    field: DiskField
     brightness_dn: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
 
-    def prior_covariance(self, prior: FieldPrior) -> FloatArray:
-        """Return the covariance (j q, j q) of the field in the order piece, node."""
-        return self.field.covariance(prior, self.brightness_dn)
-
     def residuals_dn(self, solution: MarginalSolution) -> FloatArray:
         """Return what a solution leaves of the cells (j, c)."""
-        own = np.einsum("jq,qjc->jc", solution.nodes, self.own)
-        return np.asarray(self.data - np.tensordot(solution.theta, self.shared, axes=1) - own)
+        shared = np.tensordot(solution.theta, self.shared, axes=1)
+        raised = self.own[-1] * solution.height_px[:, None]
+        return np.asarray(self.data - shared - self.albedo_dn(solution) - raised)
+
+    def albedo_dn(self, solution: MarginalSolution) -> FloatArray:
+        """Return what the albedo of a solution adds to the light of the cells (j, c)."""
+        albedo = np.broadcast_to(solution.albedo, (len(self.data), len(self.parts)))
+        return np.asarray(np.einsum("jk,kjc->jc", albedo, self.parts))
 
     def figure_prior(
         self, solution: MarginalSolution, unknowns: Sequence[int]
@@ -218,8 +239,7 @@ class LimbSystem:
         """Return the products of the cells, weighed by their noise and grain: all that a prior needs of them."""
         j, q = self.data.shape[0], len(self.own)
         weight = 1.0 / (self.variance + (grain * self.light) ** 2)
-        broad = np.matmul(self.own[:-1].transpose(1, 2, 0), self.field.modes).transpose(2, 0, 1)
-        stacked = np.concatenate([self.shared, broad, self.data[None]])
+        stacked = np.concatenate([self.shared, self.amplified, self.data[None]])
         columns = stacked.transpose(1, 2, 0)
         weighted = columns * weight[..., None]
         own = np.ascontiguousarray(self.own.transpose(1, 2, 0))
@@ -233,23 +253,26 @@ class LimbSystem:
         return WeighedCells(weight, stacked, inner, cross, plain, cells, log_weights)
 
     def _marginal(self, prior: FieldPrior, cells: WeighedCells) -> _MarginalEquations:
-        """Return the normal equations of what is shared and of the hemispheres, marginal over the ring."""
+        """Return the normal equations of what is shared and of the amplitudes, marginal over the ring."""
         ring = self.field.ring(prior, self.brightness_dn)
         n, s, m = cells.cross.shape
         factor = RingFactor(ring.diagonal + _in_blocks(cells.own), np.broadcast_to(ring.before, (n, s, s)))
         halves = factor.halves(cells.cross)
         p, r = len(self.shared), m - 1 - len(self.shared)
-        amplitude = prior.hemispheres * self.brightness_dn
+        amplitudes, brightness = self.field.amplitudes(prior), self.brightness_dn
         information = cells.plain - products(halves, halves)
-        mean = np.append(self.prior_mean, np.zeros(r))
-        precision = np.append(self.prior_precision, np.full(r, amplitude**-2.0))
-        normal = information[:-1, :-1] + np.diag(precision)
-        right = information[:-1, -1] + precision * mean
+        precision = np.append(self.prior_precision, np.diag(amplitudes.precision) / brightness**2)
+        normal, right = information[:-1, :-1].copy(), information[:-1, -1].copy()
+        normal[:p, :p] += np.diag(self.prior_precision)
+        normal[p:, p:] += amplitudes.precision / brightness**2
+        right[:p] += self.prior_precision * self.prior_mean
         # What the field takes leaves rounding errors, of either sign, where nothing is left.
         least = np.maximum(precision, RIDGE * np.diag(cells.plain)[:-1])
         whole = float(information[-1, -1] + precision[:p] @ self.prior_mean**2)
         mixed = mixed_solution(normal, right, np.pad(self.scales, ((0, 0), (0, r))), least)
-        return _MarginalEquations(p, ring, factor, halves, amplitude, normal, right, whole, mixed)
+        return _MarginalEquations(
+            p, ring, factor, halves, amplitudes, brightness, normal, right, whole, mixed
+        )
 
     def noise_covariance(self, prior: FieldPrior) -> FloatArray:
         """Return what the noise of the cells alone scatters theta (p, p) by, under a prior.
@@ -322,10 +345,12 @@ class LimbSystem:
         moves = moves.reshape(*self.own.shape[1::-1], -1).transpose(2, 0, 1)
         changes[list(IN_RING)] = np.einsum("qjc,kjq->kjc", self.own, moves)
         gradient[GRAIN], changes[GRAIN] = self._by_grain(prior, cells, blocks[0], pull, pulled, covariance)
-        broad = slice(len(self.shared), None)
-        variance = float(np.sum(theta[broad] ** 2 + np.diag(covariance)[broad]))
-        gradient[HEMISPHERES] = variance / found.amplitude**2 - len(theta[broad])
-        changes[HEMISPHERES] = 2.0 * np.tensordot(theta[broad], cells.columns[:-1][broad], axes=1)
+        first, precision = len(self.shared), found.amplitudes.precision
+        mean, moments = theta[first:], covariance[first:, first:] + np.outer(theta[first:], theta[first:])
+        excess = precision @ (moments @ precision / self.brightness_dn**2) - precision
+        for k, change in found.amplitudes.changes.items():
+            gradient[k] += 0.5 * float(np.vdot(excess, change))
+            changes[k] += np.tensordot(change @ (precision @ mean), self.amplified, axes=1)
         information = self._information(found, cells, changes)
         return Ascent(found.log_likelihood(cells), gradient, information)
 
@@ -356,7 +381,7 @@ class LimbSystem:
     ) -> tuple[float, FloatArray]:
         """Return the slope by the logarithm of the grain, and dC P y (j, c).
 
-        `blocks` are those of M^-1 on the diagonal, `pull` is P y, `pulled` C^-1 [X, N V, y].
+        `blocks` are those of M^-1 on the diagonal, `pull` is P y, `pulled` C^-1 [X, U, y].
         """
         j, q = self.data.shape[0], len(self.own)
         change, weight = 2.0 * (prior.grain * self.light) ** 2, cells.weight
@@ -394,20 +419,20 @@ class LimbSystem:
         mixed, p = found.mixed, len(self.shared)
         chi2 = found.whole - mixed.gained
         held_chi2, held_cost = (
-            (chi2, chi2) if held is None else _held_cost(*found.without_hemispheres(), self.scales, held)
+            (chi2, chi2) if held is None else _held_cost(*found.without_amplitudes(), self.scales, held)
         )
         theta = mixed.theta if bounds is None else _bounded(mixed.theta, mixed.covariance, bounds)
         solved = found.factor.solved(found.halves)
         nodes = (solved[..., -1] - solved[..., :-1] @ theta).reshape(len(self.data), -1)
-        nodes[:, :-1] += self.field.modes @ theta[p:]
         return MarginalSolution(
             found.log_likelihood(cells),
             theta[:p],
             mixed.covariance[:p, :p],
-            nodes,
+            self.field.albedo(nodes[:, :-1], theta[p:]),
+            nodes[:, -1],
             chi2,
             held_chi2,
-            held_cost + found.width(cells) + found.broad_width(),
+            held_cost + found.width(cells) + found.amplitudes_width(),
             mixed.share,
         )
 

@@ -27,10 +27,19 @@ from opnav_workbench.bodies.disk.columns import (
     TabulatedDisk,
     Unknown,
 )
+from opnav_workbench.bodies.disk.hidden_albedo import ArcHats
 from opnav_workbench.bodies.disk.limb_cells import depth_edges, piece_angles
-from opnav_workbench.bodies.disk.limb_field import limb_field
-from opnav_workbench.bodies.disk.limb_light import LimbLight, Patches, limb_light, own_law, psf_variance
+from opnav_workbench.bodies.disk.limb_field import DiskField, limb_field
+from opnav_workbench.bodies.disk.limb_light import (
+    LightParts,
+    LimbLight,
+    Patches,
+    limb_light,
+    own_law,
+    psf_variance,
+)
 from opnav_workbench.bodies.disk.marginal import LimbSystem
+from opnav_workbench.bodies.disk.surface_modes import surface_field
 from opnav_workbench.bodies.picture import BodyPicture
 from opnav_workbench.bodies.place import BodyPlace
 from opnav_workbench.bodies.scales import scale_precisions
@@ -48,6 +57,7 @@ PIECES, MIDDLE, PIECE_PX = (24, 32, 40, 48, 64, 80, 96), 48, (1.5, 4.0)
 # Of the albedo, from the limb inward, no nearer than two widths of the PSF. Five left so much of sharp patches on a dim limb
 # that a larger disk with a darker rim explained the pixels better, by 2 px and 6 sigma; eleven do no better than eight.
 FEWEST_NODES, MOST_NODES, NODE_WIDTHS = 5, 8, 2.0
+BLURRED_WIDTHS = 5.0  # of the PSF, radius: light of one side of a smaller disk shines on the other
 # What tells of the limb, and of the albedo beside it.
 DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = 0.6, 40.0, 12.0
 SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there
@@ -114,10 +124,19 @@ class DiskProblem:
         width = float(np.sqrt(self.psf_variance_px2))
         deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
         seen = round(1.0 + deepest * radius_px / (NODE_WIDTHS * width))
-        self.node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
-        self.rim_weight = np.exp(-self.node_rad / RIM_RAD)
+        node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
         self.rough_px = self.figure.limb_roughness * radius_px
-        self.field = limb_field(radius_px, width, self.node_rad, self.pieces, self.figure.albedo_sigma)
+        self.is_small = radius_px < BLURRED_WIDTHS * width
+        self.field: DiskField
+        self.parts: LightParts
+        if self.is_small:
+            surface = surface_field(radius_px, width, self.pieces, self.figure.albedo_sigma)
+            self.field, self.parts = surface, surface.modes
+            self.rim_weight = np.eye(surface.modes.count)[0]  # the first is even
+        else:
+            self.field = limb_field(radius_px, width, node_rad, self.pieces, self.figure.albedo_sigma)
+            self.parts = ArcHats(node_rad)
+            self.rim_weight = np.exp(-node_rad / RIM_RAD)
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
         self.hemispheres = np.array(self.figure.albedo_scales) / self.figure.albedo_sigma
@@ -158,7 +177,7 @@ class DiskProblem:
         inward, outward = self.reach
         reach = (inward + 4.0, outward + 4.0)
         light = limb_light(
-            picture, self.name, outline, scale, reach, self.node_rad, shape.law, strain, shape.blur_px2,
+            picture, self.name, outline, scale, reach, self.parts, shape.law, strain, shape.blur_px2,
             fine=fine, on_slopes=on_slopes, patches=patches,
         )  # fmt: skip
         return TabulatedDisk(shape, strain, silhouette, outline.slant, light, self._lit(light))

@@ -71,9 +71,8 @@ class ScanMatch:
 
 def match_scans(view: ScanView, fit: DiskFit) -> ScanMatch:
     """Return the offsets of scans, with what they are uncertain by."""
-    field = fit.system.prior_covariance(fit.prior)
-    q = len(fit.system.own)
-    weight = np.linalg.inv(_sample_covariance(view, fit, EDGES**2 * field[: q - 1, : q - 1]))
+    field = fit.system.field.part_covariance(fit.prior, fit.brightness_dn)
+    weight = np.linalg.inv(_sample_covariance(view, fit, EDGES**2 * field))
     design = np.stack([view.limb, np.ones_like(view.model)], axis=-1)
     both = np.matmul(np.swapaxes(design, 1, 2), weight)
     gain = np.matmul(np.linalg.inv(_safe(np.matmul(both, design))), both)[:, 0]
@@ -84,7 +83,7 @@ def match_scans(view: ScanView, fit: DiskFit) -> ScanMatch:
         offset_px=np.einsum("nw,nw->n", gain, view.data - view.model),
         common=np.einsum("nw,nwp->np", gain, view.common),
         noise=noise,
-        covariance=noise + _surface_covariance(view, fit, field, gain) + TABLES_PX**2 * np.eye(len(gain)),
+        covariance=noise + _surface_covariance(view, fit, gain) + TABLES_PX**2 * np.eye(len(gain)),
         brightness=_brightness(view),
         metric=metric,
         relief_px=fit.prior.rough_px,
@@ -126,16 +125,16 @@ def _pixel_noise(view: ScanView, gain: FloatArray) -> FloatArray:
     return np.asarray((scaled @ weights.T).toarray())
 
 
-def _surface_covariance(view: ScanView, fit: DiskFit, field: FloatArray, gain: FloatArray) -> FloatArray:
+def _surface_covariance(view: ScanView, fit: DiskFit, gain: FloatArray) -> FloatArray:
     """Return the covariance (n, n) of offsets from albedo, its grain, and the heights of the limb."""
     pieces, angle = len(fit.piece_albedo), view.fan.angle_rad
     shares = piece_shares(angle, pieces)
-    seen = np.einsum("nw,nwk->nk", gain, np.concatenate([view.parts, view.limb[..., None]], axis=-1))
-    response = (shares[:, :, None] * seen[:, None]).reshape(len(gain), -1)
+    parts, limb = np.einsum("nw,nwk->nk", gain, view.parts), np.einsum("nw,nw->n", gain, view.limb)
     cells = [np.where(view.cell == c, gain * view.model, 0.0).sum(axis=1) for c in np.unique(view.cell)]
     piece = shares.argmax(axis=1)
     grain = fit.prior.grain**2 * (np.transpose(cells) @ cells) * (piece[:, None] == piece)
-    return np.asarray(response @ field @ response.T + grain)
+    surface = fit.system.field.scattered(fit.prior, fit.brightness_dn, shares, parts, limb)
+    return np.asarray(surface + grain)
 
 
 def correlate_scans(match: ScanMatch, model: FloatArray, data: FloatArray, blocked: BoolArray) -> FloatArray:

@@ -174,7 +174,7 @@ def covered_scans(disk: MeasuredDisk, fan: ScanFan) -> BoolArray:
 def _unevenness(disk: MeasuredDisk, fan: ScanFan) -> FloatArray:
     """Return the relative scatter (n,) of the albedo that the disk has near each scan."""
     fit = disk.fit
-    albedo = 1.0 + fit.solution.nodes[:, :-1] / fit.brightness_dn
+    albedo = 1.0 + fit.system.field.at_limb(fit.solution.albedo) / fit.brightness_dn
     near = np.stack([np.roll(albedo, k, axis=0) for k in (-1, 0, 1)], axis=1).reshape(len(albedo), -1)
     rough = near.std(axis=1) / np.maximum(near.mean(axis=1), 0.1)
     return np.asarray(rough[piece_of(fan.angle_rad, len(albedo))])
