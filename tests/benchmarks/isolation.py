@@ -84,12 +84,15 @@ def processor_s(run: str, path: Path, number: int, *, isolated: bool) -> float:
 
 
 def cost(run: str, path: Path, number: int = PICTURES, rounds: int = ROUNDS) -> tuple[float, float]:
-    """Return the least processor times of a run with isolation and without, in seconds."""
+    """Return the medians of the processor times of a run with isolation and without, in seconds.
+
+    One that a busy machine has counted wrong, as too short as well as too long, is none of them.
+    """
     times = [
         [processor_s(run, path, number, isolated=isolated) for isolated in (True, False)]
         for _ in range(rounds)
     ]
-    isolated, bare = (min(column) for column in zip(*times, strict=True))
+    isolated, bare = (float(np.median(column)) for column in zip(*times, strict=True))
     return isolated, bare
 
 

@@ -11,14 +11,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 from isolation import END, RUNS, START, copies, cost, write_pictures
 
 PICTURES = 10
-MOST = 1.4  # of a run that solves ten; a process a picture would make it 2.5
+# Of a run that solves ten it is 1.1, with a process a picture 2.5: a ratio as far from one as from the other.
+MOST = 1.65
 CHILDREN = "import os; print(os.times().children_user + os.times().children_system)"
 
 
 @pytest.mark.slow
 def test_a_run_of_compressed_pictures(demo_truths, tmp_path):
     copies(demo_truths[0].picture, tmp_path, PICTURES)
-    isolated, bare = cost("solve", tmp_path, PICTURES, rounds=2)
+    isolated, bare = cost("solve", tmp_path, PICTURES)
     assert 1.0 < isolated / bare < MOST
 
 

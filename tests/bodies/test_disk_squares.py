@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from opnav_workbench.bodies.disk.blocks import PixelSquares, limb_samples
+from opnav_workbench.bodies.disk.hidden_albedo import ArcHats
 from opnav_workbench.bodies.disk.limb_cells import limb_pixels, limb_places, square_corners
 from opnav_workbench.bodies.disk.limb_light import limb_light
 from opnav_workbench.bodies.silhouette import Silhouette
@@ -54,9 +55,9 @@ def test_every_usable_pixel_counts_once(disk):
 
 def test_the_light_of_a_square_is_that_of_its_pixels(disk):
     picture, outline, light = disk
-    nodes = np.linspace(0.0, 0.5, 5)
+    hats = ArcHats(np.linspace(0.0, 0.5, 5))
     reach = (INWARD_PX + 10.0, OUTWARD_PX + 4.0)
-    tables = limb_light(picture, "BODY", outline, 1.0, reach, nodes, np.zeros(2), np.zeros(5), fine=True)
+    tables = limb_light(picture, "BODY", outline, 1.0, reach, hats, np.zeros(2), np.zeros(5), fine=True)
     samples = limb_samples(
         PixelSquares(pixels_of(light), outline, 30.0), outline, INWARD_PX, OUTWARD_PX, SHARP_PX
     )
@@ -87,14 +88,14 @@ def test_the_light_of_a_square_is_that_of_its_pixels_about_the_middle_and_on_the
     picture = body_stage.picture(light, [model], np.random.default_rng(1))
     outline = Silhouette(picture, "BODY").at(CENTER)
     inward = min(0.5 * diameter, INWARD_PX)
-    nodes = np.linspace(0.0, 0.5, 5)
+    hats = ArcHats(np.linspace(0.0, 0.5, 5))
     tables = limb_light(
         picture,
         "BODY",
         outline,
         1.0,
         (inward + 4.0, OUTWARD_PX + 4.0),
-        nodes,
+        hats,
         np.zeros(2),
         np.zeros(5),
         fine=True,

@@ -9,6 +9,7 @@ from disk_truth import TrialSetup, make_trial
 from opnav_workbench.bodies import find_disk
 from opnav_workbench.bodies.disk.columns import SHADED, DiskShape, Unknown, disk_columns
 from opnav_workbench.bodies.disk.fit import Fitter
+from opnav_workbench.bodies.disk.hidden_albedo import ArcHats
 from opnav_workbench.bodies.disk.limb_cells import SquareCorners, limb_pixels, limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, cell_means, limb_light
 from opnav_workbench.bodies.disk.measurement import _usable, measure_disk
@@ -52,18 +53,18 @@ def test_one_light_of_the_hats_is_that_of_both(body_stage, diameter):
     model = body_stage.body(diameter, 70.0, CENTER)
     picture = body_stage.picture(body_stage.light(model), [model])
     outline = Silhouette(picture, "BODY").at(CENTER)
-    nodes = np.linspace(0.0, 0.6, 5)
+    hats = ArcHats(np.linspace(0.0, 0.6, 5))
 
     def tables(on_slopes):
         reach = (9.0, 8.0)
         return limb_light(
-            picture, "BODY", outline, 1.0, reach, nodes, np.zeros(2), np.zeros(5), on_slopes=on_slopes
+            picture, "BODY", outline, 1.0, reach, hats, np.zeros(2), np.zeros(5), on_slopes=on_slopes
         )
 
     both, angle, depth = tables(None), np.linspace(0.0, 6.0, 7), np.full(7, -2.0)
     for on_slopes in (False, True):
         one = tables(on_slopes)
-        assert one.tables.shape[-1] == len(PLANES) + len(nodes)
+        assert one.tables.shape[-1] == len(PLANES) + hats.count
         rows = (light.hats_of(light.at(angle, depth), on_slopes=on_slopes) for light in (one, both))
         np.testing.assert_allclose(*rows, rtol=0, atol=1e-6)
         with pytest.raises(ValueError, match="the other light"):
@@ -74,8 +75,8 @@ def test_slopes_are_those_of_the_light_that_shares_make_up(body_stage):
     """Of a light with more of another law, beside differences of the light itself."""
     model = body_stage.body(60.0, 50.0, CENTER)
     picture = body_stage.picture(body_stage.light(model), [model])
-    outline, nodes = Silhouette(picture, "BODY").at(CENTER), np.linspace(0.0, 0.6, 5)
-    light = limb_light(picture, "BODY", outline, 1.0, (12.0, 8.0), nodes, np.zeros(2), np.zeros(5), fine=True)
+    outline, hats = Silhouette(picture, "BODY").at(CENTER), ArcHats(np.linspace(0.0, 0.6, 5))
+    light = limb_light(picture, "BODY", outline, 1.0, (12.0, 8.0), hats, np.zeros(2), np.zeros(5), fine=True)
     shares = np.zeros(len(PLANES))
     shares[[0, PLANES.index("law")]] = 1.0, 0.4
     angle, depth = np.linspace(0.0, 6.2, 200), np.linspace(-9.0, 5.0, 200)

@@ -13,14 +13,14 @@ from opnav_workbench.bodies.disk.marginal import LimbScores
 from opnav_workbench.bodies.disk.measurement import measure_disk
 
 
-@pytest.fixture(scope="module")
-def fit():
-    trial = make_trial(TrialSetup(5, 40.0, 60.0, family="blobs_0.35", contrast=3.0, peak_dn=1500.0))
+@pytest.fixture(scope="module", params=[40.0, 6.0])
+def fit(request):
+    trial = make_trial(TrialSetup(5, request.param, 60.0, family="blobs_0.35", contrast=3.0, peak_dn=1500.0))
     return measure_disk(trial.picture, trial.name, "disk", None, None).fit
 
 
 class DenseCells:
-    """A disk's cells without any structure: C of patches, heights and noise, and X of what is shared and of hemispheres.
+    """A disk's cells without any structure: C of patches, heights and noise, and X of what is shared and of amplitudes.
 
     Only the largest figure is kept of those that theta may have, so that its prior is Gaussian.
     """
@@ -37,12 +37,13 @@ class DenseCells:
         noise = system.variance[self.used] + (fit.prior.grain * system.light[self.used]) ** 2
         patches = ring.covariance_times(np.eye(j * q).reshape(n, -1, j * q)).reshape(j * q, j * q)
         self.covariance = own @ patches @ own.T + np.diag(noise)
-        broad = own.reshape(len(own), j, q)[..., :-1].reshape(len(own), -1)
-        modes = broad @ system.field.modes.reshape(broad.shape[1], -1)
-        self.columns = np.concatenate([system.shared[:, self.used].T, modes], axis=1)
-        hemispheres = np.full(modes.shape[1], (fit.prior.hemispheres * system.brightness_dn) ** -2.0)
-        self.precision = np.append(system.prior_precision + system.scales[0], hemispheres)
-        self.mean = np.append(system.prior_mean, np.zeros(modes.shape[1]))
+        amplified, p = system.amplified[:, self.used].T, len(system.shared)
+        self.columns = np.concatenate([system.shared[:, self.used].T, amplified], axis=1)
+        self.precision = np.zeros((self.columns.shape[1], self.columns.shape[1]))
+        self.precision[:p, :p] = np.diag(system.prior_precision + system.scales[0])
+        covariance = system.field.amplitudes(fit.prior).covariance * system.brightness_dn**2
+        self.precision[p:, p:] = np.linalg.inv(covariance)
+        self.mean = np.append(system.prior_mean, np.zeros(amplified.shape[1]))
 
     def drawn(self, rng):
         """Cells as the model has them, with all that is shared at what was expected of it."""
@@ -60,8 +61,8 @@ def cells(fit):
 def test_scores_are_those_of_dense_algebra(fit, cells):
     data, columns = cells.system.data[cells.used], cells.columns
     inverse = np.linalg.inv(cells.covariance)
-    known = np.linalg.inv(columns.T @ inverse @ columns + np.diag(cells.precision))
-    theta = known @ (columns.T @ inverse @ data + cells.precision * cells.mean)
+    known = np.linalg.inv(columns.T @ inverse @ columns + cells.precision)
+    theta = known @ (columns.T @ inverse @ data + cells.precision @ cells.mean)
     gain = known[CENTER] @ columns.T
     by_piece = np.zeros((len(cells.used), len(data)))
     by_piece[np.nonzero(cells.used)[0], np.arange(len(data))] = 1.0

@@ -8,6 +8,7 @@ from scipy.signal import fftconvolve
 
 from opnav_workbench.bodies import judged_disk, measure_disk
 from opnav_workbench.bodies.disk.columns import STRAY
+from opnav_workbench.bodies.disk.hidden_albedo import ArcHats
 from opnav_workbench.bodies.disk.limb_light import PLANES, Patches, limb_light
 from opnav_workbench.bodies.disk.stray_light import STRAY_PX, stray_light
 from opnav_workbench.bodies.silhouette import TURN, Silhouette
@@ -63,13 +64,13 @@ def test_patches_shine_beyond_the_limb(body_stage):
     center = np.array([500.3, 480.7])
     model = body_stage.body(80.0, 20.0, center)
     picture = body_stage.picture(body_stage.light(model), [model])
-    arcs = np.linspace(0.0, 0.6, 5)
+    hats = ArcHats(np.linspace(0.0, 0.6, 5))
     toward = np.cos((np.arange(16) + 0.5) * (TURN / 16))[:, None] * np.ones(5)
     silhouette = Silhouette(picture, "BODY").at(center)
 
     def halo(patches, on_slopes):
         light = limb_light(
-            picture, "BODY", silhouette, 1.0, (20.0, 8.0), arcs, np.zeros(2), np.zeros(5),
+            picture, "BODY", silhouette, 1.0, (20.0, 8.0), hats, np.zeros(2), np.zeros(5),
             on_slopes=on_slopes, patches=patches,
         )  # fmt: skip
         return light.at(np.array([0.0, np.pi]), np.full(2, 4.0))[PLANES.index("halo")]
@@ -101,5 +102,5 @@ def test_wings_that_are_not_known_move_no_center(diameter, family, contrast):
         error = found.pixel_line - trial.truth_px
         errors.append(error @ np.linalg.solve(found.covariance_px2, error) / 2.0)
         shares.append(disk.fit.solution.theta[STRAY].sum())
-    assert np.sqrt(np.mean(errors)) < 0.95
+    assert np.sqrt(np.mean(errors)) < 1.25  # twelve numbers have 1.0 +- 0.2
     assert 0.02 < np.median(shares) < 0.2

@@ -18,6 +18,8 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     What albedo between the nodes of a field does to a limb.
 ``limb_field``
     What pieces of a limb have of their own: an albedo that is a random field, and heights.
+``surface_modes``
+    The albedo of a disk not much wider than the PSF, which no piece of limb has of its own.
 ``ring``
     Fields on a ring of blocks, and their linear algebra.
 ``marginal``

@@ -111,7 +111,6 @@ class Amplitudes(NamedTuple):
     def of(cls, covariance: FloatArray, changes: Mapping[int, FloatArray]) -> "Amplitudes":
         """Return that of a covariance."""
         value, vector = np.linalg.eigh(covariance)
-        value = np.maximum(value, APART * value[-1])
         return cls(covariance, (vector / value) @ vector.T, float(np.log(value).sum()), changes)
 
 

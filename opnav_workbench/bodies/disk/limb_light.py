@@ -37,7 +37,16 @@ from opnav_workbench.psf import Psf
 from opnav_workbench.render import BodyModel, Lambert, LommelSeeliger, LunarLambert, Minnaert, ScatteringLaw
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["PLANES", "LightParts", "LimbLight", "Patches", "cell_means", "limb_light", "own_law", "psf_variance"]
+__all__ = [
+    "PLANES",
+    "LightParts",
+    "LimbLight",
+    "Patches",
+    "cell_means",
+    "limb_light",
+    "own_law",
+    "psf_variance",
+]
 
 PLANES = (
     "light", "blur", "wings", "halo",

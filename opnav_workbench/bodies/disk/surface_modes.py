@@ -168,10 +168,10 @@ def _projected(degree: int) -> tuple[SurfaceModes, CubicSpline, FloatArray]:
     cosine = np.clip(place.T @ place, -1.0, 1.0)
 
     def projected(field: FloatArray) -> FloatArray:
-        return np.asarray(q.T @ field @ q) / PLACES
+        own = np.asarray(q.T @ field @ q) / PLACES
+        return own + APART * float(np.trace(own)) / len(own) * np.eye(len(own))
 
     apart = np.arccos(cosine)
     patches = np.stack([projected(np.exp(-apart / length)) for length in LENGTHS_RAD])
     broad = projected(np.exp((cosine - 1.0) / BROAD_RAD**2))
-    broad += APART * float(np.trace(broad)) * np.eye(len(powers))
     return SurfaceModes(powers, mix), CubicSpline(np.log(LENGTHS_RAD), patches), broad
