@@ -10,7 +10,6 @@ from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.measurement import measure_disk
 from opnav_workbench.bodies.disk.tuning import VARIETY, tuned
 
-
 PATCHED = {"tiny": (5.0, "blobs_0.6"), "small": (25.0, "blobs_0.35"), "large": (90.0, "field_mid")}
 
 
