@@ -57,7 +57,7 @@ PIECES, MIDDLE, PIECE_PX = (24, 32, 40, 48, 64, 80, 96), 48, (1.5, 4.0)
 # Of the albedo, from the limb inward, no nearer than two widths of the PSF. Five left so much of sharp patches on a dim limb
 # that a larger disk with a darker rim explained the pixels better, by 2 px and 6 sigma; eleven do no better than eight.
 FEWEST_NODES, MOST_NODES, NODE_WIDTHS = 5, 8, 2.0
-BLURRED_WIDTHS = 5.0  # of the PSF, radius: light of one side of a smaller disk shines on the other
+BLURRED_WIDTHS = 7.0  # of the PSF, radius: light of one side of a smaller disk shines on the other
 # What tells of the limb, and of the albedo beside it.
 DEEPEST_RAD, DEEPEST_PX, LEAST_DEPTH_PX = 0.6, 40.0, 12.0
 SHARP_SIGMAS = 4.0  # about the limb: nothing is gathered in squares there

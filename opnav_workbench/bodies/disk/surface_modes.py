@@ -32,7 +32,7 @@ from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
 __all__ = ["SurfaceField", "SurfaceModes", "surface_field"]
 
 # A polynomial of degree n has half waves of 2 / n of the radius: the PSF leaves 5 % of the first that is not among them.
-DEGREE, DEGREE_BY_WIDTHS, HIGHEST_DEGREE = 2.0, 1.2, 8
+DEGREE, DEGREE_BY_WIDTHS, HIGHEST_DEGREE = 2.0, 1.2, 10
 PLACES = 300  # on the disk, for the projection
 LENGTHS_RAD = np.geomspace(0.05, 1.2, 16)  # of the correlation, between which its projection is a spline
 RIM = 0.9  # of the radius: where the albedo counts as that of the limb
