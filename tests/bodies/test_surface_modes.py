@@ -33,6 +33,7 @@ def test_modes_have_the_covariance_of_the_field_on_the_body(radius_px):
     field, rng = surface_field(radius_px, 0.9, 24, 0.2), np.random.default_rng(3)
     share, angle, point = places(4000, rng)
     modes = field.modes.at(share, angle)
+    np.testing.assert_allclose(modes[0], 1.0)  # what all pieces of limb are brighter by
     np.testing.assert_allclose(modes @ modes.T / 4000.0, np.eye(field.modes.count), atol=0.15)
     weights = np.stack(
         [np.ones(4000), point[:, 0], point[:, 1] ** 2, 1.0 - share**2]

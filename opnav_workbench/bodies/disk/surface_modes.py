@@ -162,7 +162,8 @@ def _projected(degree: int) -> tuple[SurfaceModes, CubicSpline, FloatArray]:
     share = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
     x, y = share * np.cos(turn), share * np.sin(turn)
     q, r = np.linalg.qr(_monomials(powers, x, y).T)
-    root = np.sqrt(PLACES)
+    upward = np.sign(np.diag(r))  # the first mode is 1, not -1: the brightness of the disk
+    q, r, root = q * upward, r * upward[:, None], np.sqrt(PLACES)
     mix = linalg.solve_triangular(r, np.eye(len(powers))) * root
     place = np.stack([x, y, np.sqrt(1.0 - share**2)])
     cosine = np.clip(place.T @ place, -1.0, 1.0)
