@@ -32,9 +32,9 @@ def test_modes_have_the_covariance_of_the_field_on_the_body(radius_px):
     """As far as they reach: what smooth weights make of the modes is what they make of the field itself."""
     field, rng = surface_field(radius_px, 0.9, 24, 0.2), np.random.default_rng(3)
     share, angle, point = places(4000, rng)
-    modes = field.modes.at(share, angle)
+    modes = field.parts.at(share, angle)
     np.testing.assert_allclose(modes[0], 1.0)  # what all pieces of limb are brighter by
-    np.testing.assert_allclose(modes @ modes.T / 4000.0, np.eye(field.modes.count), atol=0.15)
+    np.testing.assert_allclose(modes @ modes.T / 4000.0, np.eye(field.parts.count), atol=0.15)
     weights = np.stack(
         [np.ones(4000), point[:, 0], point[:, 1] ** 2, 1.0 - share**2]
     )  # light is such a weight
@@ -50,7 +50,7 @@ def test_modes_have_the_covariance_of_the_field_on_the_body(radius_px):
 
 
 def test_wider_disks_show_more_modes():
-    counts = [surface_field(radius, 1.0, 24, 0.2).modes.count for radius in (0.3, 1.0, 2.0, 4.0, 9.0)]
+    counts = [surface_field(radius, 1.0, 24, 0.2).parts.count for radius in (0.3, 1.0, 2.0, 4.0, 9.0)]
     assert counts == sorted(counts)
     assert counts[-1] == (HIGHEST_DEGREE + 1) * (HIGHEST_DEGREE + 2) // 2
 
@@ -61,7 +61,7 @@ def test_the_light_of_a_mode_is_spread_over_the_plane(body_stage, diameter, phas
     model = body_stage.body(diameter, phase, CENTER)
     picture = body_stage.picture(body_stage.light(model), [model])
     outline = Silhouette(picture, "BODY").at(CENTER)
-    modes = surface_field(0.5 * diameter, 0.9, 24, 0.2).modes
+    modes = surface_field(0.5 * diameter, 0.9, 24, 0.2).parts
     light = limb_light(
         picture, "BODY", outline, 1.0, (0.5 * diameter, 6.0), modes, np.zeros(2), np.zeros(5), fine=True
     )

@@ -36,7 +36,8 @@ def test_slopes_are_those_of_the_likelihood(system, prior):
     each = step * np.eye(5)
     differences = [(likelihood(system, at + d) - likelihood(system, at - d)) / (2.0 * step) for d in each]
     np.testing.assert_allclose(ascent.gradient, differences, rtol=1e-3, atol=1e-2)
-    assert np.linalg.eigvalsh(ascent.information).min() > -1e-5 * np.trace(ascent.information)
+    least = 1e-8 if len(system.own) > 1 else 1e-5  # of a mixture over scales, with modes that hardly show
+    assert np.linalg.eigvalsh(ascent.information).min() > -least * np.trace(ascent.information)
 
 
 def test_nothing_near_a_tuned_prior_is_likelier(system):

@@ -605,15 +605,13 @@ class Fitter:
 
     def _relight(self, linear: _LinearDisk) -> None:
         """Let the tables and the pieces of limb be as bright as a solution has them."""
-        weight = self.problem.rim_weight
-        albedo = linear.solution.albedo @ weight / weight.sum()
+        albedo = self.problem.field.at_rim(linear.solution.albedo)
         brightness = self._brightness(linear)
         self.brightness = float(
             np.clip(brightness, self.brightness / MOST_BRIGHTER, self.brightness * MOST_BRIGHTER)
         )
         own = float(linear.solution.theta[Unknown.BRIGHTNESS])
-        bright = np.maximum((own + albedo) / self.brightness, 0.1)
-        self.piece_albedo = np.array(np.broadcast_to(bright, self.problem.pieces))
+        self.piece_albedo = np.maximum((own + albedo) / self.brightness, 0.1)
         if self.follows_light:
             self.made = self.made.sloped(linear.solution.theta)
 

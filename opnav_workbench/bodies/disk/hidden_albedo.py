@@ -16,7 +16,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 
-__all__ = ["ArcHats", "HiddenAlbedo", "hats", "hidden_albedo"]
+__all__ = ["ArcHats", "HiddenAlbedo", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
 ARCS, TURNS = (
@@ -55,7 +55,7 @@ class HiddenAlbedo:
         return np.where(lag <= FARTHEST, by_lag[np.minimum(lag, FARTHEST)], 0.0)
 
 
-def hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
+def _hats(share: FloatArray, node_rad: FloatArray) -> FloatArray:
     """Return hat functions (k, n) of the arc at shares of the limb's radius."""
     arc = np.arccos(np.clip(share, 0.0, 1.0))
     up = np.clip((arc - node_rad[:-1, None]) / np.diff(node_rad)[:, None], 0.0, 1.0)
@@ -80,7 +80,7 @@ class ArcHats:
 
     def at(self, share: FloatArray, angle_rad: FloatArray) -> FloatArray:  # noqa: ARG002  pieces have their own
         """Return the hats (k, n) at shares (n,) of the limb's radius in directions (n,)."""
-        return hats(share, self.node_rad)
+        return _hats(share, self.node_rad)
 
 
 def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, pieces: int) -> HiddenAlbedo:
@@ -103,7 +103,7 @@ def hidden_albedo(radius_px: float, width_px: float, node_rad: FloatArray, piece
     kernel = np.exp(-0.25 * (radius_px * (1.0 - within) / width_px) ** 2)
     kernel *= 0.5 * deepest * share * radius_px * np.sin(arc)
     arc = np.concatenate([arc, node_rad])
-    weight = np.concatenate([kernel, -hats(within, node_rad) @ kernel])
+    weight = np.concatenate([kernel, -_hats(within, node_rad) @ kernel])
     turn, part = _turns_apart(pieces)
     cosine = np.cos(arc)[:, None] * np.cos(arc), np.sin(arc)[:, None] * np.sin(arc)
     between = cosine[0][..., None, None] * np.cos(turn) + cosine[1][..., None, None]

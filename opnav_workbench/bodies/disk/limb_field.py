@@ -20,8 +20,9 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray, freeze_arrays
 from opnav_workbench.bodies.crossings import RELIEF_RAD
-from opnav_workbench.bodies.disk.hidden_albedo import HiddenAlbedo, hidden_albedo
+from opnav_workbench.bodies.disk.hidden_albedo import ArcHats, HiddenAlbedo, hidden_albedo
 from opnav_workbench.bodies.disk.limb_cells import piece_angles
+from opnav_workbench.bodies.disk.limb_light import LightParts
 from opnav_workbench.bodies.disk.ring import RingPrior, ring_prior
 from opnav_workbench.bodies.silhouette import TURN
 
@@ -48,6 +49,7 @@ BROAD_RAD = 1.0  # over which hemispheres differ: data of a small disk cannot te
 HIGHEST_DEGREE = 6  # of polynomials on a sphere: what is left out of the hemispheres is a thousandth
 APART = 1e-6  # variance of a node by itself: at the middle of a small disk those of all pieces are one place
 KEPT_VARIANCE = 1.0 - 1e-4  # by the modes of hemispheres
+RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +110,17 @@ class Amplitudes(NamedTuple):
     changes: Mapping[int, FloatArray]
 
     @classmethod
-    def of(cls, covariance: FloatArray, changes: Mapping[int, FloatArray]) -> "Amplitudes":
+    def correlated(cls, covariance: FloatArray, changes: Mapping[int, FloatArray]) -> "Amplitudes":
         """Return that of a covariance."""
         value, vector = np.linalg.eigh(covariance)
         return cls(covariance, (vector / value) @ vector.T, float(np.log(value).sum()), changes)
+
+    @classmethod
+    def alike(cls, sigma: float, count: int, logarithm: int) -> "Amplitudes":
+        """Return that of independent ones with a standard deviation that one of the logarithms of a prior is of."""
+        unit, variance = np.eye(count), np.full(count, sigma**2)
+        covariance = variance * unit
+        return cls(covariance, unit / variance, float(np.log(variance).sum()), {logarithm: 2.0 * covariance})
 
 
 class DiskField(Protocol):
@@ -123,6 +132,10 @@ class DiskField(Protocol):
     @property
     def pieces(self) -> int:
         """Number of pieces, j."""
+
+    @property
+    def parts(self) -> LightParts:
+        """Of the light, k."""
 
     def split(self, parts: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return what of parts (k, j, c) pieces have of their own (q - 1, j, c), and what the amplitudes have (r, j, c)."""
@@ -138,6 +151,9 @@ class DiskField(Protocol):
 
     def at_limb(self, albedo: FloatArray) -> FloatArray:
         """Return the albedo on the body (j, m) at m places near each piece of limb."""
+
+    def at_rim(self, albedo: FloatArray) -> FloatArray:
+        """Return the albedo (j,) that tells how bright the light of each piece of limb is."""
 
     def part_covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
         """Return the covariance (k, k) of the parts of a piece."""
@@ -161,6 +177,8 @@ class LimbField:
 
     Attributes
     ----------
+    parts
+        Hats of the albedo, k.
     place : (j, k, 3) array
         Of the nodes, on a unit sphere: x along pixel, y along line, z toward the camera.
     modes : (j, k, r) array
@@ -169,6 +187,7 @@ class LimbField:
         Albedo between the nodes.
     """
 
+    parts: ArcHats
     place: FloatArray
     modes: FloatArray
     hidden: HiddenAlbedo
@@ -194,8 +213,7 @@ class LimbField:
 
     def amplitudes(self, prior: FieldPrior) -> Amplitudes:
         """Return what is believed of the hemispheres."""
-        covariance = prior.hemispheres**2 * np.eye(self.modes.shape[-1])
-        return Amplitudes.of(covariance, {HEMISPHERES: 2.0 * covariance})
+        return Amplitudes.alike(prior.hemispheres, self.modes.shape[-1], HEMISPHERES)
 
     def albedo(self, own: FloatArray, amplitudes: FloatArray) -> FloatArray:
         """Return the albedo of the parts (j, k)."""
@@ -205,11 +223,14 @@ class LimbField:
         """Return the albedo at the nodes (j, k): that of the parts."""
         return albedo
 
+    def at_rim(self, albedo: FloatArray) -> FloatArray:
+        """Return the mean albedo (j,) near the limb."""
+        weight = np.exp(-self.parts.node_rad / RIM_RAD)
+        return np.asarray(albedo @ weight / weight.sum())
+
     def part_covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
         """Return the covariance (k, k) of the nodes of a piece."""
-        patches = self._covariance(prior, brightness_dn, np.arange(1))[:-1, :-1]
-        broad = (prior.hemispheres * brightness_dn) ** 2 * (self.modes[0] @ self.modes[0].T)
-        return np.asarray(patches + broad)
+        return self._whole_covariance(prior, brightness_dn, np.arange(1))[:-1, :-1]
 
     def scattered(
         self, prior: FieldPrior, brightness_dn: float, shares: FloatArray, parts: FloatArray, limb: FloatArray
@@ -220,16 +241,17 @@ class LimbField:
         """
         seen = np.column_stack([parts, limb])
         response = (shares[:, :, None] * seen[:, None]).reshape(len(seen), -1)
-        return np.asarray(response @ self.covariance(prior, brightness_dn) @ response.T)
+        field = self._whole_covariance(prior, brightness_dn, np.arange(self.pieces))
+        return np.asarray(response @ field @ response.T)
 
-    def covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
-        """Return the covariance (j q, j q) of the whole field, hemispheres included."""
-        every = np.arange(self.pieces)
-        out = self._covariance(prior, brightness_dn, every)
-        j, k, r = self.modes.shape
-        flat = self.modes.reshape(j * k, r)
+    def _whole_covariance(self, prior: FieldPrior, brightness_dn: float, pieces: np.ndarray) -> FloatArray:
+        """Return the covariance of all that some pieces (m,) have, hemispheres included: (m q, m q)."""
+        out = self._covariance(prior, brightness_dn, pieces)
+        modes = self.modes[pieces]
+        m, k, r = modes.shape
+        flat = modes.reshape(m * k, r)
         broad = (prior.hemispheres * brightness_dn) ** 2 * (flat @ flat.T)
-        out.reshape(j, k + 1, j, k + 1)[:, :-1, :, :-1] += broad.reshape(j, k, j, k)
+        out.reshape(m, k + 1, m, k + 1)[:, :-1, :, :-1] += broad.reshape(m, k, m, k)
         return out
 
     def _covariance(self, prior: FieldPrior, brightness_dn: float, pieces: np.ndarray) -> FloatArray:
@@ -263,7 +285,7 @@ def limb_field(
     place = np.stack([x, y, sin_b], axis=-1)
     modes = hemispheres * _broad_modes(place.reshape(-1, 3))
     hidden = hidden_albedo(radius_px, width_px, node_rad, pieces)
-    return LimbField(place, modes.reshape(*place.shape[:2], -1), hidden)
+    return LimbField(ArcHats(node_rad), place, modes.reshape(*place.shape[:2], -1), hidden)
 
 
 def _broad_modes(place: FloatArray) -> FloatArray:

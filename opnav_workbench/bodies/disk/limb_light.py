@@ -95,7 +95,7 @@ class Patches(NamedTuple):
     """Brightness of a surface over that of tables: of all of it; by albedo (j, k) or (1, k) of parts, on slopes or not."""
 
     mean: float
-    nodes: FloatArray
+    albedo: FloatArray
     on_slopes: bool
 
 
@@ -296,10 +296,10 @@ def _patched(
     both: bool,
 ) -> NDArray[np.floating]:
     """Return the light (t, n) of a surface with patches, whose hats are (k, t, n) or (2 k, t, n)."""
-    k = patches.nodes.shape[1]
+    k = patches.albedo.shape[1]
     first = k * (both and patches.on_slopes)
-    nodes = between_pieces(angle, patches.nodes)
-    light = patches.mean * even + np.einsum("tk,ktn->tn", nodes, hats[first : first + k])
+    albedo = between_pieces(angle, patches.albedo)
+    light = patches.mean * even + np.einsum("tk,ktn->tn", albedo, hats[first : first + k])
     return np.asarray(np.maximum(light, 0.0))
 
 

@@ -27,17 +27,9 @@ from opnav_workbench.bodies.disk.columns import (
     TabulatedDisk,
     Unknown,
 )
-from opnav_workbench.bodies.disk.hidden_albedo import ArcHats
 from opnav_workbench.bodies.disk.limb_cells import depth_edges, piece_angles
 from opnav_workbench.bodies.disk.limb_field import DiskField, limb_field
-from opnav_workbench.bodies.disk.limb_light import (
-    LightParts,
-    LimbLight,
-    Patches,
-    limb_light,
-    own_law,
-    psf_variance,
-)
+from opnav_workbench.bodies.disk.limb_light import LimbLight, Patches, limb_light, own_law, psf_variance
 from opnav_workbench.bodies.disk.marginal import LimbSystem
 from opnav_workbench.bodies.disk.surface_modes import surface_field
 from opnav_workbench.bodies.picture import BodyPicture
@@ -74,7 +66,6 @@ HELD = 1e-4  # sigma of a size that is held
 # The crossings that made the place tell the size of a disk, whatever its albedo: a fit free to call a rim dark cannot.
 SEEN_SHARE, SEEN_PX = 2.0, 0.4  # of their sigma; and what half of the brightness may be beside the limb
 PLACE_PX, PLACE_SIGMAS = 1.5, 4.0  # how far a center may lie from its place
-RIM_RAD = 0.3  # arc over which the albedo tells how bright a piece of limb is
 LIT_LIMB = 0.1  # of the brightest part: a piece of limb that shows
 LEAST_STEP = 0.25  # of the step from body to sky: what a piece of limb shows of it, or it is not in sight
 # Of three axes that are off independently, seen from anywhere: variances 3/5 and 1/5 of an axis' own.
@@ -121,25 +112,20 @@ class DiskProblem:
         self.at_limb = np.abs(self.edges[:-1] + self.edges[1:]) < 2.0 * PSF_REACH * self.psf_px
         self._squares: PixelSquares | None = None
         self.pieces = _pieces(TURN * radius_px)
-        width = float(np.sqrt(self.psf_variance_px2))
-        deepest = float(np.arccos(max(1.0 - self.reach[0] / radius_px, 0.0)))
-        seen = round(1.0 + deepest * radius_px / (NODE_WIDTHS * width))
-        node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
         self.rough_px = self.figure.limb_roughness * radius_px
-        self.is_small = radius_px < BLURRED_WIDTHS * width
-        self.field: DiskField
-        self.parts: LightParts
-        if self.is_small:
-            surface = surface_field(radius_px, width, self.pieces, self.figure.albedo_sigma)
-            self.field, self.parts = surface, surface.modes
-            self.rim_weight = np.eye(surface.modes.count)[0]  # the first is even
-        else:
-            self.field = limb_field(radius_px, width, node_rad, self.pieces, self.figure.albedo_sigma)
-            self.parts = ArcHats(node_rad)
-            self.rim_weight = np.exp(-node_rad / RIM_RAD)
+        self.field = self._disk_field()
         self.prior_precision = self._prior_sigma() ** -2.0
         self.scales = self._scales()
         self.hemispheres = np.array(self.figure.albedo_scales) / self.figure.albedo_sigma
+
+    def _disk_field(self) -> DiskField:
+        width, hemispheres = float(np.sqrt(self.psf_variance_px2)), self.figure.albedo_sigma
+        if self.radius_px < BLURRED_WIDTHS * width:
+            return surface_field(self.radius_px, width, self.pieces, hemispheres)
+        deepest = float(np.arccos(max(1.0 - self.reach[0] / self.radius_px, 0.0)))
+        seen = round(1.0 + deepest * self.radius_px / (NODE_WIDTHS * width))
+        node_rad = np.linspace(0.0, deepest, int(np.clip(seen, FEWEST_NODES, MOST_NODES)))
+        return limb_field(self.radius_px, width, node_rad, self.pieces, hemispheres)
 
     def samples(self, outline: Outline) -> LimbSamples:
         """Return the pixels about an outline, gathered in squares where its light is smooth."""
@@ -177,7 +163,7 @@ class DiskProblem:
         inward, outward = self.reach
         reach = (inward + 4.0, outward + 4.0)
         light = limb_light(
-            picture, self.name, outline, scale, reach, self.parts, shape.law, strain, shape.blur_px2,
+            picture, self.name, outline, scale, reach, self.field.parts, shape.law, strain, shape.blur_px2,
             fine=fine, on_slopes=on_slopes, patches=patches,
         )  # fmt: skip
         return TabulatedDisk(shape, strain, silhouette, outline.slant, light, self._lit(light))

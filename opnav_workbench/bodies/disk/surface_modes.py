@@ -78,7 +78,7 @@ class SurfaceField:
 
     Attributes
     ----------
-    modes
+    parts
     pieces
         Number of pieces of limb, j.
     patches
@@ -87,7 +87,7 @@ class SurfaceField:
         That of hemispheres, as much as they may differ.
     """
 
-    modes: SurfaceModes
+    parts: SurfaceModes
     pieces: int
     patches: CubicSpline
     broad: FloatArray
@@ -109,7 +109,7 @@ class SurfaceField:
         at, variance = float(np.log(prior.length_rad)), prior.albedo**2
         patches, broad = variance * self.patches(at), prior.hemispheres**2 * self.broad
         changes = {ALBEDO: 2.0 * patches, LENGTH: variance * self.patches(at, 1), HEMISPHERES: 2.0 * broad}
-        return Amplitudes.of(patches + broad, changes)
+        return Amplitudes.correlated(patches + broad, changes)
 
     def albedo(self, own: FloatArray, amplitudes: FloatArray) -> FloatArray:  # noqa: ARG002  pieces have none
         """Return the albedo of the parts of the light (1, k), which is that of all pieces."""
@@ -118,7 +118,11 @@ class SurfaceField:
     def at_limb(self, albedo: FloatArray) -> FloatArray:
         """Return the albedo near the limb (j, 1) of that of the parts."""
         angle = piece_angles(self.pieces)
-        return (albedo @ self.modes.at(np.full(self.pieces, RIM), angle)).T
+        return (albedo @ self.parts.at(np.full(self.pieces, RIM), angle)).T
+
+    def at_rim(self, albedo: FloatArray) -> FloatArray:
+        """Return that of all light (j,), the first mode's."""
+        return np.full(self.pieces, albedo[0, 0])
 
     def part_covariance(self, prior: FieldPrior, brightness_dn: float) -> FloatArray:
         """Return the covariance (k, k) of the parts of a piece."""
