@@ -127,6 +127,9 @@ class BodyPicture:
     psf_width_sigma
         Relative uncertainty of the PSF's width; by default that of one calibrated, or measured on the frame's stars, whose
         colors are not the body's.
+    stars_px : (n, 2) array
+        Where the picture's stars stand, all that are bright in it; None: it is not known which of its lights are stars, and
+        a body as small as a star's image is then looked for near its expected place only.
 
     Raises
     ------
@@ -149,6 +152,7 @@ class BodyPicture:
     psf_width_sigma: float = MEASURED_PSF_SIGMA
     found: frozenset[str] = frozenset()
     spilled: BoolArray | None = None
+    stars_px: FloatArray | None = None
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal_dn, dtype=np.float64)
@@ -168,6 +172,8 @@ class BodyPicture:
             object.__setattr__(self, field, plane)
         object.__setattr__(self, "signal_dn", signal)
         object.__setattr__(self, "models", tuple(self.models))
+        if self.stars_px is not None:
+            object.__setattr__(self, "stars_px", np.reshape(np.asarray(self.stars_px, np.float64), (-1, 2)))
         names = [model.target.name for model in self.models]
         if len(set(names)) != len(names):
             raise CenterfindingError(f"two bodies of the scene have one name: {', '.join(sorted(names))}.")

@@ -21,7 +21,7 @@ from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.crossings import cross_limb, fit_crossings, radiance_profiles
 from opnav_workbench.bodies.neighbours import near_bodies, without_bodies
 from opnav_workbench.bodies.picture import BodyPicture, Circle, displaced_model, pixel_rays
-from opnav_workbench.bodies.place_search import brightest_point, search_place
+from opnav_workbench.bodies.place_search import CorrelationPeak, brightest_point, search_place
 from opnav_workbench.bodies.silhouette import Silhouette
 from opnav_workbench.bodies.spilled import without_spilled
 from opnav_workbench.bodies.strained import can_be_strained, strained_picture
@@ -106,7 +106,7 @@ def find_place(
     ratio = 1.0 if circle is None else circle.radius_px / predicted
     limit = search_px if circle is None or search_px is not None else search_radius(0.0, circle)
     near = search_radius(predicted * ratio, None)
-    if limit is None and is_pointlike(picture, name):
+    if limit is None and picture.stars_px is None and is_pointlike(picture, name):
         limit = near
     picture = without_spilled(picture, 2.0 * predicted * ratio)
     if 2.0 * predicted * ratio < BLURRED_PX:
@@ -129,7 +129,7 @@ def find_place(
 
 
 def is_pointlike(picture: BodyPicture, name: str) -> bool:
-    """Tell whether so little of a body is lit that it is looked for near its expected place only."""
+    """Tell whether so little of a body is lit that it may be any star."""
     phase = picture.phase_rad(name)
     lit_share = 0.5 * (1.0 + np.cos(phase)) if np.isfinite(phase) else 1.0
     diameter = picture.diameter_px(name)
@@ -165,15 +165,28 @@ def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: Flo
 
 
 def _without_disk(picture: BodyPicture, center_px: FloatArray, radius_px: float) -> BodyPicture:
-    """Return the picture with the pixels about a place not known."""
-    pixel, line = np.arange(picture.camera.n_pixel), np.arange(picture.camera.n_line)[:, None]
-    return picture.without(np.hypot(pixel - center_px[0], line - center_px[1]) < radius_px)
+    """Return the picture with the pixels about a place (2,), or about several (n, 2), not known."""
+    size = np.array([picture.camera.n_pixel, picture.camera.n_line])
+    near = np.zeros(picture.signal_dn.shape, dtype=bool)
+    for place in np.reshape(center_px, (-1, 2)):
+        first, last = (
+            np.clip(edge, 0, size).astype(int) for edge in (place - radius_px, place + radius_px + 1.0)
+        )
+        pixel, line = np.arange(first[0], last[0]), np.arange(first[1], last[1])[:, None]
+        disk = np.hypot(pixel - place[0], line - place[1]) < radius_px
+        near[first[1] : last[1], first[0] : last[0]] |= disk
+    return picture.without(near)
+
+
+def _others(picture: BodyPicture, name: str) -> list[str]:
+    """Return the bodies that were not found yet."""
+    names = (model.target.name for model in picture.models)
+    return [n for n in names if n != name and n not in picture.found]
 
 
 def _others_there(picture: BodyPicture, name: str) -> list[str]:
     """Return the bodies that were not found yet, and are no points."""
-    names = (model.target.name for model in picture.models)
-    return [n for n in names if n != name and n not in picture.found and not is_pointlike(picture, n)]
+    return [other for other in _others(picture, name) if not is_pointlike(picture, other)]
 
 
 def _without_found(picture: BodyPicture, name: str, place: FloatArray, search_px: float) -> BodyPicture:
@@ -394,7 +407,9 @@ def _blurred_place(
         return found
     if limit is not None:
         return None
-    alone = _without_found(picture, name, expected, np.inf)
+    alone = _without_stars(_without_found(picture, name, expected, np.inf))
+    if is_pointlike(picture, name):
+        return _lone_place(alone, name, ratio, expected)
     rough = _in_company(alone, name, ratio, expected, None, near)
     if rough is None or rough.score < LEAST_SCORE or not _stands_out(alone, name, rough, expected, near):
         return None
@@ -405,12 +420,54 @@ def _place_of_light(
     picture: BodyPicture, name: str, ratio: float, place: FloatArray, search_px: float
 ) -> BodyPlace | None:
     """Return where the light of a body as it is rendered stands out of the sky, near a place."""
+    return _as_place(_light_peak(picture, name, ratio, place, search_px), picture, name, ratio, search_px)
+
+
+def _light_peak(
+    picture: BodyPicture, name: str, ratio: float, place: FloatArray, search_px: float
+) -> CorrelationPeak:
     radius = 0.5 * picture.diameter_px(name) * ratio
-    peak = search_place(picture, name, place, radius, search_px, range_scale=1.0 / ratio)
+    return search_place(picture, name, place, radius, search_px, range_scale=1.0 / ratio)
+
+
+def _as_place(
+    peak: CorrelationPeak, picture: BodyPicture, name: str, ratio: float, search_px: float
+) -> BodyPlace | None:
+    radius = 0.5 * picture.diameter_px(name) * ratio
     # As unlikely to be noise as near by, wherever it may be.
     least = np.hypot(SEEN_SNR, np.sqrt(2.0 * np.log(max(search_px / search_radius(radius, None), 1.0) ** 2)))
     there = np.isfinite(peak.center_px).all() and peak.snr > least and peak.explained > SEEN_SHARE
     return BodyPlace(peak.center_px, ratio, peak.explained) if there else None
+
+
+# ---- Bodies as small as a star's image, in a picture whose stars are known.
+
+LONE_RATIO = (
+    3.0  # over the next brightest: two bodies of one field, or stars of no catalog, are rarely so different
+)
+
+
+def _without_stars(picture: BodyPicture) -> BodyPicture:
+    """Return the picture without the pixels about its stars, where they are known."""
+    return (
+        picture if picture.stars_px is None else _without_disk(picture, picture.stars_px, edge_reach(picture))
+    )
+
+
+def _lone_place(picture: BodyPicture, name: str, ratio: float, expected: FloatArray) -> BodyPlace | None:
+    """Return where the one light of a frame without its stars is that can be a body; None: there are several, or none."""
+    for other in _others(picture, name):
+        radius = 0.5 * picture.diameter_px(other)
+        reach = radius + search_radius(radius, None) + edge_reach(picture)
+        picture = _without_disk(picture, picture.center_px(other), reach)
+    anywhere = 2.0 * float(np.hypot(*picture.signal_dn.shape))
+    peak = _light_peak(picture, name, ratio, expected, anywhere)
+    found = _as_place(peak, picture, name, ratio, anywhere)
+    if found is None:
+        return None
+    rest = _without_disk(picture, found.center_px, picture.diameter_px(name) * ratio + edge_reach(picture))
+    rival = _light_peak(rest, name, ratio, expected, anywhere)
+    return found if peak.snr * peak.explained > LONE_RATIO * rival.snr * rival.explained else None
 
 
 # ---- From there onto the limb.

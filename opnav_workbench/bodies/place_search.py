@@ -117,27 +117,31 @@ def _highest_peak(
     data: Cutout, template: _Template, expected: FloatArray, search_px: float
 ) -> CorrelationPeak:
     weight, light = data.weight(), template.light
+    # The sample at lag k has the template's first pixel at pixel k of the data.
+    origin = np.array(data.window[:2]) + template.center
+    lags = _LagCorrelator(weight.shape, light.shape, expected - origin, max(search_px, 0.75))
+    if not len(lags.line) or not len(lags.pixel):
+        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
     weighted, squared = weight * data.data_dn, weight * data.data_dn**2
-    lags = _LagCorrelator(weight.shape, light.shape)
-    box, model, power = (lags.spectrum(plane) for plane in (np.ones_like(light), light, light**2))
+    box, model, power = (lags.template(plane) for plane in (np.ones_like(light), light, light**2))
     usable = lags.spectrum((weight > 0.0).astype(float))
     of_w, of_wd, of_wdd = (lags.spectrum(plane) for plane in (weight, weighted, squared))
     w, wd, wdd = (lags.correlate(plane, box) for plane in (of_w, of_wd, of_wdd))
     wm, wmm, wdm = lags.correlate(of_w, model), lags.correlate(of_w, power), lags.correlate(of_wd, model)
+    usual = float(np.median(weight[weight > 0.0]))
+    whole = usual * float(np.sum(light**2))  # what all of the body on usable pixels gives
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.where(w > 1e-9 * w.max(), 1.0 / w, 0.0)
+        mean = np.where(w > 1e-9 * usual * light.size, 1.0 / w, 0.0)
         information = wmm - wm**2 * mean
         signal = wdm - wd * wm * mean
-        good = (wmm > MIN_INFORMATION * wmm.max()) & (information > 1e-9 * wmm.max())
+        good = (wmm > MIN_INFORMATION * whole) & (information > 1e-9 * whole)
         scale = np.where(good, signal / np.where(good, information, 1.0), 0.0)
     snr = scale * np.sqrt(np.maximum(information, 0.0))
     variation = wdd - wd**2 * mean
     count = lags.correlate(usable, box)
     gain = np.maximum(snr, 0.0) ** 2
     explained = gain / np.maximum(np.maximum(variation - count, gain), 1e-300)
-    # The sample at lag k has the template's first pixel at pixel k of the data.
-    origin = (np.array(data.window[:2]) + template.center)[:, None, None]
-    grid = np.stack(np.meshgrid(lags.pixel, lags.line)) + origin
+    grid = np.stack(np.meshgrid(lags.pixel, lags.line)) + origin[:, None, None]
     near = np.hypot(*(grid - expected[:, None, None])) <= max(search_px, 0.75)
     return _refined_peak(snr * explained, near & good, grid, (snr, explained))
 
@@ -162,18 +166,45 @@ def _refined_peak(
     return CorrelationPeak(center, snr, explained)
 
 
-class _LagCorrelator:
-    """Correlations of planes with templates over all lags at which they overlap by more than half the template."""
+ROUND_LAG = 1  # beside those that are searched, for the paraboloid
 
-    def __init__(self, plane: tuple[int, ...], template: tuple[int, ...]) -> None:
-        self.length = [fft.next_fast_len(p + t, real=True) for p, t in zip(plane, template, strict=True)]
-        self.line, self.pixel = (np.arange(-t + 1, p) for p, t in zip(plane, template, strict=True))
+
+class _LagCorrelator:
+    """Correlations of planes with templates over the lags within `reach` of one, (pixel, line), at which they overlap.
+
+    What a lag that is asked for does not see is cut off the template, and transforms are no longer than those lags need.
+    """
+
+    def __init__(
+        self, plane: tuple[int, ...], template: tuple[int, ...], about: FloatArray, reach: float
+    ) -> None:
+        lags = []
+        for p, t, middle in zip(plane, template, about[::-1], strict=True):
+            first, last = np.clip([middle - reach, middle + reach], -t, p)
+            lags.append(
+                np.arange(max(int(np.ceil(first)) - ROUND_LAG, 1 - t), min(int(last) + ROUND_LAG + 1, p))
+            )
+        self.line, self.pixel = lags
+        self._seen = tuple(
+            slice(max(0, -k[-1]), max(0, min(t, p - k[0]))) if len(k) else slice(0)
+            for k, p, t in zip(lags, plane, template, strict=True)
+        )
+        self._length = [fft.next_fast_len(p + len(k), real=True) for k, p in zip(lags, plane, strict=True)]
 
     def spectrum(self, plane: FloatArray) -> ComplexArray:
-        """Return the transform of a plane or template, padded."""
-        return np.asarray(fft.rfft2(plane, self.length))
+        """Return the transform of a plane, padded."""
+        return np.asarray(fft.rfft2(plane, self._length))
+
+    def template(self, light: FloatArray) -> ComplexArray:
+        """Return the transform of what is seen of a template, padded."""
+        seen = light[self._seen]
+        padded = np.zeros(self._length)
+        line, pixel = (np.arange(n) + part.start for n, part in zip(seen.shape, self._seen, strict=True))
+        padded[np.ix_(line % self._length[0], pixel % self._length[1])] = seen
+        return self.spectrum(padded)
 
     def correlate(self, plane: ComplexArray, template: ComplexArray) -> FloatArray:
         """Return sums over x of plane(x + lag) template(x), [line lag, pixel lag], from their transforms."""
-        out = fft.irfft2(plane * np.conj(template), self.length)
-        return np.asarray(out[self.line[:, None], self.pixel[None, :]])
+        out = fft.irfft2(plane * np.conj(template), self._length)
+        line, pixel = (k % n for k, n in zip((self.line, self.pixel), self._length, strict=True))
+        return np.asarray(out[line[:, None], pixel[None, :]])

@@ -290,7 +290,18 @@ def _picture(
         sunlight_e=_sunlight(context),
         noise_model=context.noise_model,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
+        stars_px=_star_places(context, state, attitude),
     )
+
+
+SEEN_STARS = ("used", "rejected", "saturated", "blended")
+
+
+def _star_places(context: Context, state: SessionState, attitude: FloatArray) -> FloatArray | None:
+    """Return where the stars (n, 2) stand that are seen; None before the pointing tells."""
+    if state.pointing is None or state.a_priori is None:
+        return None
+    return state.a_priori.places(context.camera, attitude)[state.mask(*SEEN_STARS)]
 
 
 SPARSE = 4  # pixels between those of the sky that are looked at

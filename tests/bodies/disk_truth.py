@@ -137,7 +137,7 @@ def make_trial(setup):
     )
     picture = BodyPicture(
         data, READ_NOISE_DN, False, saturated, camera, ATTITUDE, VELOCITY_KM_S, (BodyModel(target),), psf, None,
-        NoiseModel(READ_NOISE_DN, GAIN_E_PER_DN),
+        NoiseModel(READ_NOISE_DN, GAIN_E_PER_DN), stars_px=np.empty((0, 2)),
     )  # fmt: skip
     in_ring = light[ring]
     snr = float(np.median(in_ring / noise_dn(in_ring))) if in_ring.size else np.nan

@@ -102,7 +102,8 @@ def test_light_pressure_weakens_the_sun():
     last = np.array([span[1]])
     states = [propagate(start, ET, span, f)[0].states(last)[0] for f in (lit, weaker)]
     dark = propagate(start, ET, span, replace(lit, radiation_km_s2=0.0))[0].states(last)[0]
-    assert np.linalg.norm(states[0][:3] - states[1][:3]) < 1e-4
+    # What steps of their own round differently: 1e-12 of the distance, a thousandth of the effect
+    assert np.linalg.norm(states[0][:3] - states[1][:3]) < 1e-3
     assert np.linalg.norm(states[0][:3] - dark[:3]) > 1.0
 
 

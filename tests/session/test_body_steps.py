@@ -13,7 +13,7 @@ from opnav_workbench.kernels.dsk_files import write_dsk
 from opnav_workbench.mission import TargetSurface, load_mission
 from opnav_workbench.render import FigureUncertainty
 from opnav_workbench.session import BODY_METHODS, ImageSession
-from opnav_workbench.session.body_models import body_model, body_model_if_known
+from opnav_workbench.session.body_models import body_model, body_model_if_known, body_picture
 
 RIGHT_PX = 0.1  # of a body of uniform albedo, 10 to 50 px wide; what the methods can is tested where they are
 METHODS = ("cross_correlation", "least_squares", "limb_scan", "ellipse")
@@ -423,6 +423,17 @@ def test_everything_with_bodies_resumes_to_the_same_bits(near, tmp_path):
     got = resumed.result()
     del expected["provenance"]["kernels"], got["provenance"]["kernels"]
     assert json_text(got) == json_text(expected)
+
+
+def test_centerfinders_are_told_which_lights_are_stars_once_the_pointing_is(near):
+    state, names = near.state, ("PLUTO",)
+    told = body_picture(near.context, near.inputs, state, names, names)
+    used = state.mask("used")
+    assert len(told.stars_px) >= used.sum() >= 4
+    away = np.hypot(*(told.stars_px[:, None] - state.centers.pixel_line[used]).T)
+    assert away.min(axis=1).max() < 0.5
+    lost = body_picture(near.context, near.inputs, state.replace(pointing=None), names, names)
+    assert lost.stars_px is None
 
 
 def test_a_body_has_one_name(near):

@@ -262,7 +262,9 @@ def placed_body(
     if circle is not None or search_px is not None:
         nothing += f" within {search_radius(0.0, circle, search_px):.0f} px of its expected place"
     if circle is None and search_px is None and is_pointlike(picture, name):
-        nothing += " near its expected place; farther off it may be any star, give a circle"
+        nothing += (
+            " near its expected place; farther off it may be any of the lights in the picture, give a circle"
+        )
     return BodyCenter.without_center(name, method, "not_detected", nothing)
 
 
