@@ -1,4 +1,4 @@
-"""A point far off its prediction: found if it is itself, and nothing else is taken for it."""
+"""Points and disks no larger than a star, far off their prediction: found if it is they, and nothing else is taken for them."""
 
 import json
 
@@ -14,8 +14,9 @@ from opnav_workbench.simulation import load_picture_scenario, read_truth, simula
 def bennu(tmp_path):
     """Simulate Figure 3 with Bennu displaced by an offset (km, J2000) and process it with the predicted kernels."""
 
-    def seen(offset_km):
+    def seen(offset_km, **changes):
         content = load_picture_scenario("osiris_rex/bennu_approach").model_dump()
+        content["pictures"][0] |= changes
         content["perturbations"]["bodies"] = [{"name": "BENNU", "offset_km": offset_km}]
         (report,) = simulate(load_picture_scenario(content), tmp_path / "pictures")
         policy = Processing(mission="osiris_rex", targets=("BENNU",)).opened()
@@ -40,3 +41,13 @@ def test_nothing_else_is_taken_for_it(bennu):
     (body,), _ = bennu((0.0, 0.0, 2e4))
     assert body["status"] == "not_detected"
     assert body["observed"] is None
+
+
+@pytest.mark.slow
+def test_a_disk_as_small_as_a_star_is_found_fifty_pixels_off(bennu):
+    """Ten stars of the field are about as wide and bright: the pointing tells which lights they are."""
+    days_before = {"utc": "2018-10-14T00:00:00", "exposure_s": 0.2}
+    (body,), true_px = bennu((0.0, 0.0, 15.0), **days_before)
+    assert np.hypot(*np.subtract(true_px, body["predicted"])) > 40.0
+    assert (body["method"], body["status"]) == ("disk", "ok")
+    assert np.hypot(*np.subtract(true_px, body["observed"])) < 0.1
