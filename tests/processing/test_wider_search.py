@@ -1,4 +1,4 @@
-"""Points and disks no larger than a star, far off their prediction: found if it is they, and nothing else is taken for them."""
+"""Points and disks no larger than a star, far off their prediction: found if it is they, nothing else is."""
 
 import json
 
@@ -16,7 +16,7 @@ def bennu(tmp_path):
 
     def seen(offset_km, **changes):
         content = load_picture_scenario("osiris_rex/bennu_approach").model_dump()
-        content["pictures"][0] |= changes
+        content["pictures"] = [content["pictures"][0] | changes]
         content["perturbations"]["bodies"] = [{"name": "BENNU", "offset_km": offset_km}]
         (report,) = simulate(load_picture_scenario(content), tmp_path / "pictures")
         policy = Processing(mission="osiris_rex", targets=("BENNU",)).opened()
