@@ -301,7 +301,8 @@ def _star_places(context: Context, state: SessionState, attitude: FloatArray) ->
     """Return where the stars (n, 2) stand that are seen; None before the pointing tells."""
     if state.pointing is None or state.a_priori is None:
         return None
-    return state.a_priori.places(context.camera, attitude)[state.mask(*SEEN_STARS)]
+    places = state.a_priori.places(context.camera, attitude)
+    return np.asarray(places[state.mask(*SEEN_STARS)])
 
 
 SPARSE = 4  # pixels between those of the sky that are looked at

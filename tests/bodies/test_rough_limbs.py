@@ -68,8 +68,9 @@ def test_patches_are_no_relief(family):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [find_ellipse, find_limb_scan], ids=["ellipse", "limb_scan"])
-@pytest.mark.parametrize(("seed", "phase"), [(1, 15.0), (3, 80.0)])
-@pytest.mark.parametrize("case", ["80 px", "200 px"])
+@pytest.mark.parametrize(
+    ("case", "seed", "phase"), [("80 px", 1, 15.0), ("80 px", 3, 80.0), ("200 px", 3, 80.0)]
+)
 def test_the_papers_methods_know_as_well(case, seed, phase, method):
     """Of 200 px, before: "0 usable scans": a relief of more than a pixel counted as an edge that is too faint."""
     trial = make_trial(replace(ROUGH[case], seed=seed, phase_deg=phase))
@@ -80,11 +81,11 @@ def test_the_papers_methods_know_as_well(case, seed, phase, method):
 
 @pytest.mark.slow
 def test_sigmas_of_rough_bodies_are_honest():
-    """Eighteen bodies of 1 and 3 %: 1.0 is honest; before, 4.6, with five of them beyond 5 sigma."""
+    """Twelve bodies of 1 and 3 %: 1.0 is honest; before, 4.6, with five of them beyond 5 sigma."""
     off = []
     for topography in (0.01, 0.03):
         for diameter in (30.0, 80.0, 200.0):
-            for seed, phase in ((1, 15.0), (2, 40.0), (3, 80.0)):
+            for seed, phase in ((1, 15.0), (3, 80.0)):
                 setup = replace(
                     ROUGH["80 px"], seed=seed, diameter_px=diameter, phase_deg=phase, topography=topography
                 )

@@ -14,7 +14,7 @@ from opnav_workbench.bodies.disk.surface_modes import HIGHEST_DEGREE, surface_fi
 from opnav_workbench.bodies.silhouette import TURN, Silhouette
 
 CENTER = np.array([500.3, 480.7])
-SEED, TRIALS, LARGEST_PX = 9931, 24, 8.0
+SEED, TRIALS, LARGEST_PX = 9931, 16, 8.0
 
 
 def places(n, rng):

@@ -426,6 +426,7 @@ def test_everything_with_bodies_resumes_to_the_same_bits(near, tmp_path):
 
 
 def test_centerfinders_are_told_which_lights_are_stars_once_the_pointing_is(near):
+    near.add_target("PLUTO")
     state, names = near.state, ("PLUTO",)
     told = body_picture(near.context, near.inputs, state, names, names)
     used = state.mask("used")
