@@ -130,6 +130,8 @@ class BodyPicture:
     stars_px : (n, 2) array
         Where the picture's stars stand, all that are bright in it; None: it is not known which of its lights are stars, and
         a body as small as a star's image is then looked for near its expected place only.
+    stars_known_dn
+        Light (DN, of all its pixels) from which on every star is among them; fainter ones are in no catalog.
 
     Raises
     ------
@@ -153,6 +155,7 @@ class BodyPicture:
     found: frozenset[str] = frozenset()
     spilled: BoolArray | None = None
     stars_px: FloatArray | None = None
+    stars_known_dn: float = 0.0
 
     def __post_init__(self) -> None:
         signal = np.asarray(self.signal_dn, dtype=np.float64)

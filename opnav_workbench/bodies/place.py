@@ -168,7 +168,8 @@ def _without_disk(picture: BodyPicture, center_px: FloatArray, radius_px: float)
     """Return the picture with the pixels about a place (2,), or about several (n, 2), not known."""
     size = np.array([picture.camera.n_pixel, picture.camera.n_line])
     near = np.zeros(picture.signal_dn.shape, dtype=bool)
-    for place in np.reshape(center_px, (-1, 2)):
+    places = np.reshape(center_px, (-1, 2))
+    for place in places[np.isfinite(places).all(axis=1)]:
         first, last = (
             np.clip(edge, 0, size).astype(int) for edge in (place - radius_px, place + radius_px + 1.0)
         )
@@ -442,9 +443,8 @@ def _as_place(
 
 # ---- Bodies as small as a star's image, in a picture whose stars are known.
 
-LONE_RATIO = (
-    3.0  # over the next brightest: two bodies of one field, or stars of no catalog, are rarely so different
-)
+# Over the next brightest: two bodies of one field are rarely so different; and over the faintest star of the catalog.
+LONE_RATIO, KNOWN_RATIO = 3.0, 2.0
 
 
 def _without_stars(picture: BodyPicture) -> BodyPicture:
@@ -455,7 +455,10 @@ def _without_stars(picture: BodyPicture) -> BodyPicture:
 
 
 def _lone_place(picture: BodyPicture, name: str, ratio: float, expected: FloatArray) -> BodyPlace | None:
-    """Return where the one light of a frame without its stars is that can be a body; None: there are several, or none."""
+    """Return where the one light of a frame without its stars is that can be a body; None: there are several, or none.
+
+    It has to be so bright that the catalog would know it, were it a star.
+    """
     for other in _others(picture, name):
         radius = 0.5 * picture.diameter_px(other)
         reach = radius + search_radius(radius, None) + edge_reach(picture)
@@ -467,7 +470,8 @@ def _lone_place(picture: BodyPicture, name: str, ratio: float, expected: FloatAr
         return None
     rest = _without_disk(picture, found.center_px, picture.diameter_px(name) * ratio + edge_reach(picture))
     rival = _light_peak(rest, name, ratio, expected, anywhere)
-    return found if peak.snr * peak.explained > LONE_RATIO * rival.snr * rival.explained else None
+    alone = peak.snr * peak.explained > LONE_RATIO * rival.snr * rival.explained
+    return found if alone and peak.flux_dn > KNOWN_RATIO * picture.stars_known_dn else None
 
 
 # ---- From there onto the limb.

@@ -37,14 +37,20 @@ class CorrelationPeak:
         Of its brightness.
     explained
         Share, 0..1, of what is under the body that the model explains, noise taken out.
+    flux_dn
+        Light of all of it, as bright as it is found.
     """
 
     center_px: FloatArray
     snr: float
     explained: float
+    flux_dn: float
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+
+NOWHERE = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,14 +79,13 @@ def search_place(
     range_scale
         Range over the a priori one.
     """
-    nowhere = CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
     reach = radius_px + edge_reach(picture)
     window = _clipped(picture, center_px, search_px + reach)
     if min(window[2:]) < 3:
-        return nowhere
+        return NOWHERE
     data = cut_out(picture, window, keep_saturated=True)
     template = _template(picture, name, center_px, reach, range_scale)
-    return _highest_peak(data, template, center_px, search_px) if data.use.any() else nowhere
+    return _highest_peak(data, template, center_px, search_px) if data.use.any() else NOWHERE
 
 
 def brightest_point(picture: BodyPicture, center_px: FloatArray, search_px: float) -> CorrelationPeak:
@@ -89,7 +94,7 @@ def brightest_point(picture: BodyPicture, center_px: FloatArray, search_px: floa
     half = len(kernel) // 2
     data = cut_out(picture, _clipped(picture, center_px, search_px + half), keep_saturated=True)
     if min(data.window[2:]) < 1 or not data.use.any():
-        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
+        return NOWHERE
     return _highest_peak(data, _Template(kernel, np.full(2, float(half))), center_px, search_px)
 
 
@@ -121,7 +126,7 @@ def _highest_peak(
     origin = np.array(data.window[:2]) + template.center
     lags = _LagCorrelator(weight.shape, light.shape, expected - origin, max(search_px, 0.75))
     if not len(lags.line) or not len(lags.pixel):
-        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
+        return NOWHERE
     weighted, squared = weight * data.data_dn, weight * data.data_dn**2
     box, model, power = (lags.template(plane) for plane in (np.ones_like(light), light, light**2))
     usable = lags.spectrum((weight > 0.0).astype(float))
@@ -143,7 +148,8 @@ def _highest_peak(
     explained = gain / np.maximum(np.maximum(variation - count, gain), 1e-300)
     grid = np.stack(np.meshgrid(lags.pixel, lags.line)) + origin[:, None, None]
     near = np.hypot(*(grid - expected[:, None, None])) <= max(search_px, 0.75)
-    return _refined_peak(snr * explained, near & good, grid, (snr, explained))
+    flux = scale * float(light.sum())
+    return _refined_peak(snr * explained, near & good, grid, (snr, explained, flux))
 
 
 def _refined_peak(
@@ -153,7 +159,7 @@ def _refined_peak(
     maps: tuple[FloatArray, ...],
 ) -> CorrelationPeak:
     if not searched.any():
-        return CorrelationPeak(np.full(2, np.nan), 0.0, 0.0)
+        return NOWHERE
     row, column = np.unravel_index(np.where(searched, surface, -np.inf).argmax(), surface.shape)
     inner = 0 < row < surface.shape[0] - 1 and 0 < column < surface.shape[1] - 1
     center = grid[:, row, column]
@@ -162,8 +168,7 @@ def _refined_peak(
         if not patch.max() > patch[1, 1]:
             offset, _ = refine_peaks(surface[None], np.array([row]), np.array([column]))
             center = center + offset[0]
-    snr, explained = (float(plane[row, column]) for plane in maps)
-    return CorrelationPeak(center, snr, explained)
+    return CorrelationPeak(center, *(float(plane[row, column]) for plane in maps))
 
 
 ROUND_LAG = 1  # beside those that are searched, for the paraboloid

@@ -291,6 +291,7 @@ def _picture(
         noise_model=context.noise_model,
         excess_sigma_px=0.0 if state.pointing is None else state.pointing.excess_sigma_px,
         stars_px=_star_places(context, state, attitude),
+        stars_known_dn=_faintest_dn(state),
     )
 
 
@@ -303,6 +304,12 @@ def _star_places(context: Context, state: SessionState, attitude: FloatArray) ->
         return None
     places = state.a_priori.places(context.camera, attitude)
     return np.asarray(places[state.mask(*SEEN_STARS)])
+
+
+def _faintest_dn(state: SessionState) -> float:
+    """Return the light of the faintest star that is used: whatever is brighter the catalog knows; infinite without any."""
+    used = state.mask("used")
+    return float(state.centers.flux_dn[used].min()) if state.centers is not None and used.any() else np.inf
 
 
 SPARSE = 4  # pixels between those of the sky that are looked at

@@ -64,3 +64,12 @@ def test_the_light_of_another_body_that_is_expected_there_is_not_taken_for_it():
     there = replace(model.target, name="OTHER", position_km=trial.body.position_km)
     picture = replace(trial.picture, models=(model, replace(model, target=there)))
     assert find_disk(picture, trial.name).status == "not_detected"
+
+
+def test_a_light_no_brighter_than_the_faintest_star_of_the_catalog_may_be_any_star():
+    trial = make_trial(DISK)
+    faintest = replace(trial.picture, stars_known_dn=float(trial.light_dn.sum()))
+    assert find_disk(faintest, trial.name).status == "not_detected"
+    assert (
+        find_disk(replace(faintest, stars_known_dn=0.4 * faintest.stars_known_dn), trial.name).status == "ok"
+    )

@@ -433,6 +433,7 @@ def test_centerfinders_are_told_which_lights_are_stars_once_the_pointing_is(near
     assert len(told.stars_px) >= used.sum() >= 4
     away = np.hypot(*(told.stars_px[:, None] - state.centers.pixel_line[used]).T)
     assert away.min(axis=1).max() < 0.5
+    assert told.stars_known_dn == state.centers.flux_dn[used].min() > 0.0
     lost = body_picture(near.context, near.inputs, state.replace(pointing=None), names, names)
     assert lost.stars_px is None
 
