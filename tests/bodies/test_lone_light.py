@@ -25,6 +25,7 @@ def with_stars(trial, shares, known):
     return replace(picture, signal_dn=data, stars_px=known)
 
 
+@pytest.mark.slow(keep=["setup0"])
 @pytest.mark.parametrize("setup", [DISK, CRESCENT])
 def test_the_one_light_that_no_star_explains_is_the_body(setup):
     trial = make_trial(setup)
@@ -35,6 +36,7 @@ def test_the_one_light_that_no_star_explains_is_the_body(setup):
     assert np.hypot(*away) < 0.3
 
 
+@pytest.mark.slow(keep=["shares1-known1-setup1"])
 @pytest.mark.parametrize("setup", [DISK, CRESCENT])
 @pytest.mark.parametrize(
     ("shares", "known"),
@@ -50,6 +52,7 @@ def test_where_several_lights_may_be_the_body_none_is_taken_for_it(setup, shares
     assert any("give a circle" in message for message in center.messages)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stars", [STARS_PX, None])
 def test_near_its_expected_place_a_star_beside_it_changes_nothing(stars):
     trial = make_trial(replace(DISK, displacement_px=3.0))
