@@ -149,7 +149,7 @@ def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: Flo
     there = [] if is_near else _others_there(picture, name)
     others = [(other, 0.5 * picture.diameter_px(other)) for other in there]
     for points in range(MOST_POINTS):
-        body = search_place(picture, name, at, radius, REFINED_PX, range_scale=1.0 / share)
+        body = _light_peak(picture, name, share, at, REFINED_PX)
         if body.snr == 0.0 and points == 0:  # of so little on the detector nothing can be said
             return True
         if body.snr < SEEN_SNR:
@@ -449,9 +449,8 @@ LONE_RATIO, KNOWN_RATIO = 3.0, 2.0
 
 def _without_stars(picture: BodyPicture) -> BodyPicture:
     """Return the picture without the pixels about its stars, where they are known."""
-    return (
-        picture if picture.stars_px is None else _without_disk(picture, picture.stars_px, edge_reach(picture))
-    )
+    stars = picture.stars_px
+    return picture if stars is None else _without_disk(picture, stars, edge_reach(picture))
 
 
 def _lone_place(picture: BodyPicture, name: str, ratio: float, expected: FloatArray) -> BodyPlace | None:

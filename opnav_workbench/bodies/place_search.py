@@ -125,8 +125,6 @@ def _highest_peak(
     # The sample at lag k has the template's first pixel at pixel k of the data.
     origin = np.array(data.window[:2]) + template.center
     lags = _LagCorrelator(weight.shape, light.shape, expected - origin, max(search_px, 0.75))
-    if not len(lags.line) or not len(lags.pixel):
-        return NOWHERE
     weighted, squared = weight * data.data_dn, weight * data.data_dn**2
     box, model, power = (lags.template(plane) for plane in (np.ones_like(light), light, light**2))
     usable = lags.spectrum((weight > 0.0).astype(float))
@@ -185,14 +183,11 @@ class _LagCorrelator:
     ) -> None:
         lags = []
         for p, t, middle in zip(plane, template, about[::-1], strict=True):
-            first, last = np.clip([middle - reach, middle + reach], -t, p)
-            lags.append(
-                np.arange(max(int(np.ceil(first)) - ROUND_LAG, 1 - t), min(int(last) + ROUND_LAG + 1, p))
-            )
+            first, last = np.clip([middle - reach - ROUND_LAG, middle + reach + ROUND_LAG], 1 - t, p - 1)
+            lags.append(np.arange(int(np.ceil(first)), int(np.floor(last)) + 1))
         self.line, self.pixel = lags
         self._seen = tuple(
-            slice(max(0, -k[-1]), max(0, min(t, p - k[0]))) if len(k) else slice(0)
-            for k, p, t in zip(lags, plane, template, strict=True)
+            slice(max(0, -k[-1]), min(t, p - k[0])) for k, p, t in zip(lags, plane, template, strict=True)
         )
         self._length = [fft.next_fast_len(p + len(k), real=True) for k, p in zip(lags, plane, strict=True)]
 

@@ -38,7 +38,7 @@ from opnav_workbench.scene import following, predict_body, seen_at_its_lines
 from opnav_workbench.session.context import Context
 from opnav_workbench.session.inputs import Inputs
 from opnav_workbench.session.pointing import best_attitude
-from opnav_workbench.session.state import BodyRequest, SessionState, best_center
+from opnav_workbench.session.state import MEASURED_STATUSES, BodyRequest, SessionState, best_center
 from opnav_workbench.targets import TargetState
 
 __all__ = [
@@ -295,15 +295,12 @@ def _picture(
     )
 
 
-SEEN_STARS = ("used", "rejected", "saturated", "blended")
-
-
 def _star_places(context: Context, state: SessionState, attitude: FloatArray) -> FloatArray | None:
     """Return where the stars (n, 2) stand that are seen; None before the pointing tells."""
     if state.pointing is None or state.a_priori is None:
         return None
     places = state.a_priori.places(context.camera, attitude)
-    return np.asarray(places[state.mask(*SEEN_STARS)])
+    return np.asarray(places[state.mask(*MEASURED_STATUSES)])
 
 
 def _faintest_dn(state: SessionState) -> float:

@@ -285,7 +285,7 @@ def _filtered_strip(
     half = len(kernel) // 2
     top, bottom = max(low - half, 0), min(high + half, len(pixels.image_dn))
     margin = half - (low - top), half - (bottom - high)  # of lines beyond the picture's edge
-    weight = pixels.noise_dn[top:bottom] ** -2.0
+    weight = 1.0 / np.square(pixels.noise_dn[top:bottom])  # a power of -2 takes as long as all that follows
     signal = (pixels.image_dn[top:bottom] - median) * weight
     if np.all(weight == weight[0, 0]):  # a matter of the edges
         ones = (np.ones(n) for n in weight.shape)

@@ -123,13 +123,13 @@ def test_detection_in_a_full_frame(benchmark):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("uneven", [0.0, 0.2])
-def test_detection_costs_no_more_than_a_few_gaussian_filters(fastest, uneven):
-    """It takes 0.7 of one, 2.1 where memory is slow and the noise uneven."""
+def test_detection_costs_no_more_than_two_gaussian_filters(fastest, uneven):
+    """It takes 0.7 of one, where the noise is uneven, too (2 to 3 before its sums were of shifted strips)."""
     image = np.random.default_rng(4096).normal(0.0, NOISE_DN, (2048, 2048))
     noise = NOISE_DN * (1.0 + uneven * np.sin(np.arange(2048) / 300.0)[:, None] * np.ones(2048))
     (blur_s, _), (ours_s, _) = fastest(
         lambda: gaussian_filter(image, 1.0),
         lambda: detect(image, noise, None, 1.0),
-        enough=lambda blur_s, ours_s: ours_s <= 3.0 * blur_s,
+        enough=lambda blur_s, ours_s: ours_s <= 2.0 * blur_s,
     )
-    assert ours_s <= 3.0 * blur_s
+    assert ours_s <= 2.0 * blur_s
