@@ -31,7 +31,7 @@ CHROMIUM_ARGS = [
     "--font-render-hinting=none",
 ]
 QUIET = {"doNotDisturbMode": True}
-STEP_MS = 20_000
+WAIT_MS = 120_000  # a wait ends when what it is for is there: this is for a busy machine
 # JupyterLab's own words where a kernel is restarted, or the page closed, while its debugger asks something; and where
 # it takes its splash screen away twice, of which the only frame is its core.
 LAB_NOISE = re.compile(
@@ -122,7 +122,7 @@ class Notebook:
         self.expected: list[str] = []
         self.others: list[Notebook] = []
         self.page = context.new_page()
-        self.page.set_default_timeout(STEP_MS)
+        self.page.set_default_timeout(WAIT_MS)
         self.page.on("pageerror", lambda error: self.errors.append(f"{error}\n{error.stack}"))
         self.page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
         self.open("&reset")
@@ -188,9 +188,9 @@ class Notebook:
         assert not failed, failed
         return json.loads(out.split("@@")[1])
 
-    def until(self, expression: str, timeout_s: float = 10.0) -> Any:
+    def until(self, expression: str) -> Any:
         """Evaluate in the kernel until it is true, and return it."""
-        end = time.monotonic() + timeout_s
+        end = time.monotonic() + 1e-3 * WAIT_MS
         while not (value := self.python(expression)):
             assert time.monotonic() < end, f"{expression} is still {value!r}"
             time.sleep(0.05)
@@ -207,7 +207,7 @@ class Notebook:
         """Wait for a view and return its root element, scrolled into sight."""
         root = self.page.locator(".opnav-bridge[data-ready]").nth(number)
         try:
-            root.wait_for(timeout=30_000)
+            root.wait_for()
         except Exception:
             shown = self.page.inner_text(".jp-Notebook")[-1500:]
             raise AssertionError(f"no view; console: {self.errors}; notebook: {shown}") from None
@@ -288,10 +288,10 @@ class Bench:
     def open(self) -> Any:
         """Open it in a page of its own, and wait until it runs."""
         page = self.context.new_page()
-        page.set_default_timeout(30_000)
+        page.set_default_timeout(WAIT_MS)
         page.on("pageerror", lambda error: self.errors.append(f"{error}\n{error.stack}"))
         page.goto(self.address)
-        page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
+        page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
         return page
 
     def press(self, *keys: str) -> None:
@@ -299,12 +299,11 @@ class Bench:
             self.actions += 1
             self.page.keyboard.press(key)
 
-    def said(self, text: str, timeout_ms: float = 30_000) -> None:
+    def said(self, text: str) -> None:
         """Wait until the status line contains a text, and what came with it is drawn."""
         self.page.wait_for_function(
             "t => document.querySelector('.ow-window .ow-status')?.textContent.includes(t)",
             arg=text,
-            timeout=timeout_ms,
         )
         self.page.evaluate(DRAWN)
 

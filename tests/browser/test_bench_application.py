@@ -54,9 +54,7 @@ def _no_errors(bench):
 
 
 def said(page, text):
-    page.wait_for_function(
-        "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text, timeout=30_000
-    )
+    page.wait_for_function("t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text)
     page.evaluate("opnavDrawn()")
 
 

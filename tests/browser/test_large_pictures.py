@@ -101,6 +101,7 @@ def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
     folder.mkdir()
     put_notebook(folder, LabParameters(*large_pictures(folder)))
     page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
+    page.set_default_timeout(120_000)
     asked, come = [], []
 
     def count(frame, kind, counted):
@@ -113,7 +114,7 @@ def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
 
     page.on("websocket", listen)
     page.goto(f"{lab.address}/lab/tree/large/workbench.ipynb?token={lab.token}")
-    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=90_000)
+    page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
     for _ in range(900):  # a loaded machine
         page.wait_for_timeout(100)
         if len(come) >= PIECES:

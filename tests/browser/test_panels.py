@@ -37,7 +37,6 @@ def bench(open_bench, demo_truths):
     opened.said("lorri_4x4.fit: ")
     opened.press("f")
     opened.said("4 of 4 stars found")
-    opened.page.set_default_timeout(8_000)
     return opened
 
 

@@ -82,7 +82,7 @@ class Analyst:
 
     def arrive(self):
         """Wait for the workbench that `opnav lab` opens by itself."""
-        self.page.locator(".ow-window .opnav-bridge[data-ready]").wait_for(timeout=60_000)
+        self.page.locator(".ow-window .opnav-bridge[data-ready]").wait_for()
         self.page.locator(".ow-panel .page").wait_for()
         return self
 
@@ -112,10 +112,10 @@ class Analyst:
         self.page.fill(selector, text)
         self.page.locator(selector).press("Enter")
 
-    def said(self, text, timeout_ms=20_000):
+    def said(self, text):
         """Wait until the status line contains a text, and what came with it is drawn."""
         self.page.wait_for_function(
-            "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text, timeout=timeout_ms
+            "t => document.querySelector('.ow-status')?.textContent.includes(t)", arg=text
         )
         self.page.evaluate("opnavDrawn()")
 
@@ -241,7 +241,7 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
         before = hand.focused
         hand.press("a")
         while journal.stat().st_size == size:
-            assert time.perf_counter() - start < 10.0
+            assert time.perf_counter() - start < 60.0
             time.sleep(0.001)
         to_disk.append(1e3 * (time.perf_counter() - start))
         hand.page.wait_for_function(
@@ -303,7 +303,7 @@ def test_stars_are_confirmed_by_key_and_nothing_is_lost(notebook, demo_truths, t
         "jupyterapp.shell.currentWidget.sessionContext.session.kernel.status)"
     )
     dialog = hand.page.locator(".jp-Dialog button").first
-    dialog.wait_for(timeout=20_000)
+    dialog.wait_for()
     dialog.click()
     nb.idle()
     hand.start()
@@ -331,11 +331,11 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.press("3")
     hand.choose('select[data-act="method"]', "limb_scan")
     hand.press("f")
-    hand.said("PLUTO, limb scan", timeout_ms=60_000)
+    hand.said("PLUTO, limb scan")
     hand.type('input[data-act="scans"]', "0-40,90-120")
-    hand.said("72 scans chosen", timeout_ms=60_000)
+    hand.said("72 scans chosen")
     hand.press("e")
-    hand.said("files written", timeout_ms=60_000)
+    hand.said("files written")
     counted = hand.actions
     assert counted <= MAX_ACTIONS
     result = json.loads((tmp_path / "pluto_stars" / "result.json").read_text())
@@ -349,7 +349,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     # Scans by click on a small one, by a box over the strip, and by a box in the picture.
     number = int(hand.page.locator(".ow-panel .thumb.used").first.get_attribute("data-scan"))
     hand.click(f'.ow-panel [data-scan="{number}"]')
-    hand.said("71 scans chosen", timeout_ms=60_000)
+    hand.said("71 scans chosen")
     assert nb.python(f"str(bench.controller.bodies.scans.status[{number}])") == "not_chosen"
     strip = hand.page.locator(".ow-panel .strip-plot:not(.unrolled) rect.frame")
     strip.scroll_into_view_if_needed()
@@ -358,7 +358,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.page.mouse.down()
     hand.page.mouse.move(area["x"] + 0.5 * area["width"], area["y"] + area["height"] - 5, steps=4)
     hand.page.mouse.up()
-    hand.said("scans chosen by the analyst", timeout_ms=60_000)
+    hand.said("scans chosen by the analyst")
     chosen = nb.until(f"len({CHOICE}.numbers) < 60 and list({CHOICE}.numbers)")
     assert chosen == list(range(chosen[0], chosen[-1] + 1))
     assert abs(chosen[0] - 45) <= 2
@@ -368,7 +368,7 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     hand.said("drag a box")
     nb.settle()
     hand.drag((center[0] + 60.0, center[1] - 30.0), (center[0] + 130.0, center[1] + 30.0))
-    nb.until(f"{CHOICE}.reason == 'box in the picture'", timeout_s=60.0)
+    nb.until(f"{CHOICE}.reason == 'box in the picture'")
     boxed = nb.python(f"list({CHOICE}.numbers)")
     assert 0 in boxed
     assert 90 not in boxed
@@ -376,7 +376,6 @@ def test_whole_pass_of_an_analyst(notebook, resolved, tmp_path):
     nb.until(
         f"(bench.session.state.scan_choices.get('PLUTO') is None or {CHOICE}.numbers is None)"
         " and bench.controller.runner.running is None",  # what a step says at its end would stand over what a tool asks
-        timeout_s=60.0,
     )
 
     # A circle by two clicks, moved by arrow keys, and by a drag; each is a step that can be undone.
@@ -577,7 +576,7 @@ bench
     hand.press("A", "p")
     hand.said("pointing:")
     hand.press("e")
-    hand.said("files written", timeout_ms=60_000)
+    hand.said("files written")
     nb.shot("workbench_flight")
     result = json.loads(next(tmp_path.glob("*/result.json")).read_text())
     assert result["pointing"]["n_stars"] >= 7
