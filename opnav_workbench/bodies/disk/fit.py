@@ -48,6 +48,7 @@ SAME_CELLS_PX = 0.35  # that an outline may move by, and cells stay what they ar
 # follow.
 MOST_TURNS, MOST_FINE, MOST_TUNED, COARSE_TUNINGS = 12, 8, 2, 2
 MOST_HALVINGS, MOST_UPHILL = 3, 2
+IN_PROPORTION = 0.375  # of what a step costs, half of it: a half of that by a slope, a quarter by a curvature
 STILL_PX, STILL_SIGMAS = 0.005, 0.1
 COARSE_PX, COARSE_SIGMAS = 0.04, 0.3  # with coarse light, which is no truer
 NEAR_PX, NEAR_SIGMAS = 0.02, 0.5  # last step of a solution that counts as one
@@ -467,16 +468,23 @@ class Fitter:
     def _step(self) -> tuple[float, bool]:
         """Take a step, or a part of it that does not make the fit worse.
 
-        It returns its length (px), and whether it was such a part: else the last one that was tried.
+        It returns its length (px), and whether it was such a part: else the last one that was tried; or all of the step,
+        where the cost rises in proportion to its parts. Then noise and albedo go with the light, and no part is better.
         """
         before, begun, start = self.shape, self.linear, self.linear.solution
+        whole: tuple[_FitState, float, float] | None = None  # with its length, and what it costs
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
             self._solve()
-            allowed = start.held_cost + self._regrouping(begun, length)
-            if self.linear.solution.held_cost < allowed or length < STILL_PX:
+            grown = self.linear.solution.held_cost - start.held_cost
+            if grown < self._regrouping(begun, length) or length < STILL_PX:
                 return length, True
+            if whole is None:
+                whole = self._state(), length, grown
+            elif grown > IN_PROPORTION * whole[2]:
+                self._return_to(whole[0])
+                return whole[1], False
         return length, False
 
     def _regrouping(self, begun: _LinearDisk, length_px: float) -> float:

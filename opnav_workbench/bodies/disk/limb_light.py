@@ -132,7 +132,7 @@ class LimbLight:
 
     first_px: float
     step_px: float
-    tables: FloatArray
+    tables: NDArray[np.float32]
     parts: int
     fine: bool
     law_means: FloatArray
@@ -174,7 +174,7 @@ class LimbLight:
         return out[: len(SLOPES)], out[len(SLOPES) :]
 
     def _looked_up(
-        self, angle_rad: FloatArray, depth_px: FloatArray, *planes: FloatArray, cubic: bool
+        self, angle_rad: FloatArray, depth_px: FloatArray, *planes: NDArray[np.floating], cubic: bool
     ) -> FloatArray:
         """Return planes (t, n, p), one below the other, at m places (m,), or as means over k (m, k): (p, m)."""
         t, n, _ = self.tables.shape
@@ -187,7 +187,7 @@ class LimbLight:
         if cubic:
             rows = list(zip((-1, 0, 1, 2), cubic_weights(part), strict=True))
         index = np.empty((len(row), len(rows), 2), dtype=np.int64)
-        weight = np.empty(index.shape)
+        weight = np.empty(index.shape, dtype=np.float32)  # as the tables: nothing is copied
         for k, (jump, share) in enumerate(rows):
             index[:, k, 0] = (i + jump) % t * n + j
             weight[:, k, 0], weight[:, k, 1] = share * (1.0 - along), share * along
@@ -281,7 +281,7 @@ def limb_light(
         patched = _patched(total, tables[1 + LINEAR :], angle, patches, both=on_slopes is None)
     stray = stray_light(total, patched, limb, angle, depth, float(np.sqrt(variance)))
     every = np.concatenate([np.stack([total, slopes[..., 2], *stray]), tables[1:]])
-    kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float64)  # places are looked up row by row
+    kept = np.ascontiguousarray(every.transpose(1, 2, 0), dtype=np.float32)  # places are looked up row by row
     return LimbLight(
         float(first), float(step), kept, parts.count, fine, law_means, on_slopes, variance, limb, slopes
     )
@@ -548,12 +548,13 @@ def _spread_along_rays(
     rows = _light_rows(picture, model, outline.center_px, within.ravel(), turned, rays, hatted, surface)
     # Across the limb out[d] = sum over s of spread[s] source[d + s]; along it a Gaussian: `_one_spread` holds its depth.
     n, t = len(fine), len(angle)
-    good = fft.next_fast_len(n + 2 * half + 1, real=True)
+    good = fft.next_fast_len(n, real=True)  # what goes around the end is cut off
     variance = psf_variance(picture.psf, blur_px2)
     wave = np.exp(-0.5 * variance / float(np.mean(limb)) ** 2 * np.arange(t // 2 + 1) ** 2).astype(np.float32)
     single = rows.reshape(len(rows), t, len(node)).astype(np.float32)  # 1e-7: models hold light to 1e-3
     around = fft.irfft(fft.rfft(single, axis=1) * wave[:, None], t, axis=1)
-    sources = np.matmul(around, cell_means(fine, step, node))
+    inside = fine < step
+    sources = np.matmul(around, cell_means(fine[inside], step, node))
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
     spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)
@@ -656,7 +657,8 @@ def _spread_in_plane(
     sources = sources.reshape(-1, *x.shape)
     cells = psf.kernel(per_px)
     farthest = float(outline.radius_px.max() + depth[-1]) / step
-    size = fft.next_fast_len(2 * max(half, int(farthest)) + len(cells) + 2 * per_px, real=True)
+    # Nothing that the PSF carries around the plane comes so far as where it is looked up.
+    size = fft.next_fast_len(half + int(farthest) + len(cells) // 2 + 2 * per_px, real=True)
     wave = np.hypot(fft.fftfreq(size, step)[:, None], fft.rfftfreq(size, step)) * TURN
     gridded = step**2 * CELL_VARIANCE + (depth[1] - depth[0]) ** 2 * LINEAR_VARIANCE
     spread = _over_pixel(cells, per_px, size) * _blurred(wave, blur_px2 - gridded) / _spline_spectrum(size)
@@ -684,6 +686,6 @@ def _spline_lookup(line: FloatArray, pixel: FloatArray, size: int) -> sparse.csr
     taps = np.arange(-1, 3)[:, None]
     index = ((i + taps) % size * size)[:, None] + ((j + taps) % size)[None]
     ends = np.arange(len(i) + 1) * index[:, :, 0].size
-    weight = down[:, None] * along[None]
+    weight = (down[:, None] * along[None]).astype(np.float32)
     places = (weight.transpose(2, 0, 1).ravel(), index.transpose(2, 0, 1).ravel(), ends)
     return sparse.csr_array(places, shape=(len(i), size * size))
