@@ -70,6 +70,7 @@ SIZES = (0.87, 1.0, 1.15)
 LEVELS = (0.04, 0.12, 0.35)  # of the bright part of the body: what counts as lit
 SKY_SIGMAS = 5.0
 BRIGHT_RANK = 0.3  # of the lit pixels: as bright as this is bright
+CUT_SHARES = (1.0, 0.3, 0.1)  # of the body that may be on the detector: what is bright follows from that
 LIT_SHARE = 0.02  # of the model's brightest part
 KNOWN_SHARE = 0.25  # of the pixels of a bin: every other line may be missing
 RING_SHARE = 0.35  # of the radius: sky about the body that must be dark
@@ -248,20 +249,22 @@ def _silhouette_place(
     ranked = np.sort(bright[known])[::-1]
     if not len(ranked) or not template.any():
         return None
-    top = float(ranked[min(int(BRIGHT_RANK * float(template.sum())), len(ranked) - 1)])
-    if top < SKY_SIGMAS * dark_sigma:
-        return None
     best: BodyPlace | None = None
     search = _FrameSearch(expected - first, limit, search_radius(radius, None), bins)
     sizes = SIZES if radius > SIZED_RADIUS_PX else (1.0,)
     sized = [_SizedTemplate(template, size, known) for size in sizes]
-    for level in LEVELS:
-        lit = known & (bright > max(level * top, SKY_SIGMAS * dark_sigma))
-        of_lit = sized[0].spectrum(lit.astype(np.float64))
-        for one in sized:
-            found = _correlated(of_lit, one, search)
-            if found is not None and (best is None or found.score > best.score):
-                best = replace(found, size_ratio=found.size_ratio * ratio)
+    sky = SKY_SIGMAS * dark_sigma
+    for share in CUT_SHARES:
+        rank = int(BRIGHT_RANK * share * float(template.sum()))
+        top = float(ranked[min(rank, len(ranked) - 1)])
+        for level in LEVELS if top >= sky else ():
+            of_lit = sized[0].spectrum((known & (bright > max(level * top, sky))).astype(np.float64))
+            for one in sized:
+                found = _correlated(of_lit, one, search)
+                if found is not None and (best is None or found.score > best.score):
+                    best = replace(found, size_ratio=found.size_ratio * ratio)
+        if best is not None and best.score > NEAR_SHARE:
+            break
     return None if best is None else replace(best, center_px=best.center_px + first)
 
 

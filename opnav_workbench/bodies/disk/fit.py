@@ -468,23 +468,23 @@ class Fitter:
     def _step(self) -> tuple[float, bool]:
         """Take a step, or a part of it that does not make the fit worse.
 
-        It returns its length (px), and whether it was such a part: else the last one that was tried; or all of the step,
-        where the cost rises in proportion to its parts. Then noise and albedo go with the light, and no part is better.
+        It returns its length (px), and whether it was such a part. Else it is the last one that was tried; or all of the
+        step, where the cost rises in proportion to its parts, and no more than it may with new weights: noise and albedo
+        go with the light then, and no part is better.
         """
         before, begun, start = self.shape, self.linear, self.linear.solution
-        whole: tuple[_FitState, float, float] | None = None  # with its length, and what it costs
+        tried: list[tuple[float, float, _FitState]] = []
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
             self._solve()
-            grown = self.linear.solution.held_cost - start.held_cost
-            if grown < self._regrouping(begun, length) or length < STILL_PX:
+            cost = self.linear.solution.held_cost - start.held_cost
+            if cost < self._regrouping(begun, length) or length < STILL_PX:
                 return length, True
-            if whole is None:
-                whole = self._state(), length, grown
-            elif grown > IN_PROPORTION * whole[2]:
-                self._return_to(whole[0])
-                return whole[1], False
+            tried.append((cost, length, self._state()))
+        if IN_PROPORTION * tried[0][0] < tried[1][0] < 0.5 * self._lost():
+            _, length, whole = tried[0]
+            self._return_to(whole)
         return length, False
 
     def _regrouping(self, begun: _LinearDisk, length_px: float) -> float:
