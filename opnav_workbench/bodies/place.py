@@ -88,6 +88,7 @@ RIVAL_SHARE = 0.97
 MOST_POINTS = 4  # that may lie on a body
 POINTLIKE_PX, POINTLIKE_LIT_PX = 3.0, 1.5  # a smaller body, or crescent, may be any star
 SIZED_RADIUS_PX = 6.0  # smaller bodies are looked for in one size
+WIDE_PX = 60.0  # no star's image is so wide
 
 
 def find_place(
@@ -140,12 +141,14 @@ def is_pointlike(picture: BodyPicture, name: str) -> bool:
 def _stands_out(picture: BodyPicture, name: str, found: BodyPlace, expected: FloatArray, near: float) -> bool:
     """Tell whether what was found is the body: nothing else is as much like it, or it is there beside what is.
 
-    A good silhouette close to where it is expected needs no such question, unless it is as small as a star's.
+    A good silhouette close to where it is expected needs no such question, unless it is as small as a star's; the less
+    so the larger it is. Of a large patchy body that the frame cuts, rendered light may even be the opposite.
     """
     is_near = bool(np.hypot(*(found.center_px - expected)) <= near)
     share, at = found.size_ratio, found.center_px
     radius = 0.5 * picture.diameter_px(name) * share
-    if is_near and found.score > NEAR_SHARE and 2.0 * radius > BLURRED_PX:
+    enough = NEAR_SCORE if 2.0 * radius > WIDE_PX else NEAR_SHARE
+    if is_near and found.score > enough and 2.0 * radius > BLURRED_PX:
         return True
     there = [] if is_near else _others_there(picture, name)
     others = [(other, 0.5 * picture.diameter_px(other)) for other in there]

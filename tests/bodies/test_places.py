@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disk_truth import TrialSetup, make_trial
 from scipy.stats import norm
 
 from opnav_workbench.bodies import BodyCenter, BodyFlag, find_disk, find_least_squares
@@ -66,6 +67,25 @@ def test_saturation_is_an_unknown_of_a_place(body_stage):
     place = find_place(cut, "BODY")
     np.testing.assert_allclose(place.center_px, TRUE, rtol=0, atol=3.0)
     assert np.hypot(*(place.center_px - TRUE)) < 3.0 * place.center_sigma_px
+
+
+@pytest.mark.slow(keep=["1600 px"])
+@pytest.mark.parametrize(
+    ("diameter_px", "place_px", "family", "contrast", "displacement_px"),
+    [
+        pytest.param(1600.0, (1300.0, 400.0), "blobs_0.05", 3.0, 3.0, id="1600 px"),
+        pytest.param(1550.0, (-150.0, 1300.0), "blobs_0.35", 9.0, 70.0, id="a corner"),
+        pytest.param(911.0, (-148.0, 1226.0), "blobs_0.35", 9.0, 199.0, id="displaced"),
+    ],
+)
+def test_what_the_frame_cuts_is_found(diameter_px, place_px, family, contrast, displacement_px):
+    """Less of the body is in the frame than a third of it: what is bright was taken from the sky, 490 px off or nowhere."""
+    setup = TrialSetup(
+        5, diameter_px, 40.0, family, contrast, place_px=place_px, displacement_px=displacement_px
+    )
+    trial = make_trial(setup)
+    place = find_place(trial.picture, trial.name)
+    assert np.hypot(*(place.center_px - trial.truth_px)) < 0.01 * diameter_px
 
 
 @pytest.mark.slow(keep=["1.08"])
