@@ -76,12 +76,12 @@ def _spread(
 
     size = fft.next_fast_len(len(at) + int(REACH * max(STRAY_PX) / apart), real=True)
     wave = TURN * np.hypot(fft.fftfreq(size, apart)[:, None], fft.rfftfreq(size, apart))
-    spreads = [(1.0 + (wave * scale) ** 2) ** -1.5 for scale in STRAY_PX]
+    spreads = [((1.0 + (wave * scale) ** 2) ** -1.5).astype(np.float32) for scale in STRAY_PX]
     away = np.maximum(limb_px[:, None] + depth_px, 0.0) / apart
     places = [half + away * np.sin(angle_rad)[:, None], half + away * np.cos(angle_rad)[:, None]]
     out: list[NDArray[np.floating]] = []
     for light in lights:
-        plane = np.where(reach < limb_px.min(), light[:, 0].mean(), 0.0)
+        plane = np.where(reach < limb_px.min(), light[:, 0].mean(), 0.0).astype(np.float32)
         found = ndimage.map_coordinates(light[around % t], sources, order=1)
         plane[line, pixel] = np.where(column > n - 1.0, 0.0, found)
         spectrum = fft.rfft2(plane, (size, size))
