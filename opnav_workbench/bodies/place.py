@@ -28,7 +28,7 @@ from opnav_workbench.bodies.strained import can_be_strained, strained_picture
 from opnav_workbench.bodies.subarray import edge_reach, search_radius
 from opnav_workbench.render.body import PlacedBody
 
-__all__ = ["BodyPlace", "find_place", "is_pointlike"]
+__all__ = ["BodyPlace", "find_place", "is_pointlike", "without_stars"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -414,7 +414,7 @@ def _blurred_place(
         return found
     if limit is not None:
         return None
-    alone = _without_stars(_without_found(picture, name, expected, np.inf))
+    alone = without_stars(_without_found(picture, name, expected, np.inf))
     if is_pointlike(picture, name):
         return _lone_place(alone, name, ratio, expected)
     rough = _in_company(alone, name, ratio, expected, None, near)
@@ -453,7 +453,7 @@ def _as_place(
 LONE_RATIO, KNOWN_RATIO = 3.0, 2.0
 
 
-def _without_stars(picture: BodyPicture) -> BodyPicture:
+def without_stars(picture: BodyPicture) -> BodyPicture:
     """Return the picture without the pixels about its stars, where they are known."""
     stars = picture.stars_px
     return picture if stars is None else _without_disk(picture, stars, edge_reach(picture))

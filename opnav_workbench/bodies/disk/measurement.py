@@ -28,13 +28,14 @@ from opnav_workbench.bodies.disk.sky_edge import surprise
 from opnav_workbench.bodies.disk.starts import START_SIZES, fit_disk, is_wider
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
-from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike
+from opnav_workbench.bodies.place import BodyPlace, find_place, is_pointlike, without_stars
 from opnav_workbench.bodies.results import BodyCenter, BodyFlag
 from opnav_workbench.bodies.silhouette import Outline
 from opnav_workbench.bodies.spilled import without_filled, without_spilled
 from opnav_workbench.bodies.subarray import (
     Cutout,
     choose_subarray,
+    edge_reach,
     find_hit_pixels,
     outline_radius_px,
     search_radius,
@@ -315,9 +316,14 @@ def _beside_the_detector(
     return f"{where}, {away:.0f} px off the {size[0]} x {size[1]} detector"
 
 
+STARS_REACHES = 3.0  # a smaller disk may be what was taken for a star, and is none without its pixels
+
+
 def _usable(picture: BodyPicture, name: str, place: BodyPlace) -> Cutout:
-    """Return the picture's planes, without pixels that are bad, saturated, or lit by other bodies."""
+    """Return the picture's planes, without pixels that are bad, saturated, or lit by other bodies or known stars."""
     whole = (0, 0, picture.camera.n_pixel, picture.camera.n_line)
+    if picture.diameter_px(name) * place.size_ratio > STARS_REACHES * edge_reach(picture):
+        picture = without_stars(picture)
     return without_others(picture, name, place.center_px, whole)
 
 
