@@ -31,7 +31,7 @@ CHROMIUM_ARGS = [
     "--font-render-hinting=none",
 ]
 QUIET = {"doNotDisturbMode": True}
-WAIT_MS = 120_000  # a wait ends when what it is for is there: this is for a busy machine
+WAIT_MS = 240_000  # a wait ends when what it is for is there: this is for a busy machine
 # JupyterLab's own words where a kernel is restarted, or the page closed, while its debugger asks something; and where
 # it takes its splash screen away twice, of which the only frame is its core.
 LAB_NOISE = re.compile(

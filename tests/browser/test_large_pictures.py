@@ -101,7 +101,7 @@ def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
     folder.mkdir()
     put_notebook(folder, LabParameters(*large_pictures(folder)))
     page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.set_default_timeout(120_000)
+    page.set_default_timeout(240_000)
     asked, come = [], []
 
     def count(frame, kind, counted):
