@@ -10,6 +10,7 @@ A surface may be bright here and dark there, the Sun may light half of it, pixel
 of that is the body. So the search sees one bit a pixel.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -249,26 +250,26 @@ def _silhouette_place(
     reach = np.inf if limit is None else limit + bins * (1.0 + RING_SHARE) * (len(template) + 2)
     first = bins * np.clip(np.floor((expected - reach) / bins), 0, None)
     bright, dark_sigma, known = _binned(picture, bins, first, expected + reach)
-    ranked = np.sort(bright[known])[::-1]
+    ranked, sky = np.sort(bright[known])[::-1], SKY_SIGMAS * dark_sigma
     if not len(ranked) or not template.any():
         return None
-    best: BodyPlace | None = None
+    ranks = (int(BRIGHT_RANK * share * float(template.sum())) for share in CUT_SHARES)
+    tops = dict.fromkeys(float(ranked[min(rank, len(ranked) - 1)]) for rank in ranks)
+    if max(tops) < sky:
+        return None
     search = _FrameSearch(expected - first, limit, search_radius(radius, None), bins)
     sizes = SIZES if radius > SIZED_RADIUS_PX else (1.0,)
     sized = [_SizedTemplate(template, size, known) for size in sizes]
-    sky = SKY_SIGMAS * dark_sigma
-    for share in CUT_SHARES:
-        rank = int(BRIGHT_RANK * share * float(template.sum()))
-        top = float(ranked[min(rank, len(ranked) - 1)])
-        for level in LEVELS if top >= sky else ():
-            of_lit = sized[0].spectrum((known & (bright > max(level * top, sky))).astype(np.float64))
-            for one in sized:
-                found = _correlated(of_lit, one, search)
-                if found is not None and (best is None or found.score > best.score):
-                    best = replace(found, size_ratio=found.size_ratio * ratio)
+    best: BodyPlace | None = None
+    for top in (top for top in tops if top >= sky):
+        lit = (known & (bright > max(level * top, sky)) for level in LEVELS)
+        found = (_correlated(plane, sized, search) for plane in lit)
+        best = max((place for place in (best, *found) if place is not None), key=_score, default=None)
         if best is not None and best.score > NEAR_SHARE:
             break
-    return None if best is None else replace(best, center_px=best.center_px + first)
+    if best is None:
+        return None
+    return replace(best, center_px=best.center_px + first, size_ratio=best.size_ratio * ratio)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,7 +349,18 @@ class _SizedTemplate:
         return np.asarray(fft.irfft2(plane * np.conj(kernel), self.good))
 
 
-def _correlated(of_lit: FloatArray, template: _SizedTemplate, search: _FrameSearch) -> BodyPlace | None:
+def _score(place: BodyPlace) -> float:
+    return place.score
+
+
+def _correlated(lit: BoolArray, sized: Sequence[_SizedTemplate], search: _FrameSearch) -> BodyPlace | None:
+    """Return where the best of the silhouettes is in a plane that tells what is lit."""
+    of_lit = sized[0].spectrum(lit.astype(np.float64))
+    found = (_correlated_one(of_lit, one, search) for one in sized)
+    return max((place for place in found if place is not None), key=_score, default=None)
+
+
+def _correlated_one(of_lit: FloatArray, template: _SizedTemplate, search: _FrameSearch) -> BodyPlace | None:
     inside, good, n, n_in = template.inside, template.good, template.n, template.n_in
     lit_about, lit_in = (template.lagged(of_lit, kernel) for kernel in (template.of_about, template.of_in))
     cov = lit_in - n_in * lit_about / n

@@ -29,7 +29,7 @@ KNOWN = FigureUncertainty(
 )  # what is drawn is a sphere of this size, and Lambert's
 # A center costs a search and few renderings: these bounds hold on a busy machine, and fail where a fit renders for every
 # parameter and step (a general solver: 25 and more). A disk whose light was extrapolated is fitted twice.
-MAX_RENDERINGS = 22.0  # 13 to 16 on a quiet machine, 19 where others fill its caches
+MAX_RENDERINGS = 20.0  # 13 to 16 on a quiet machine, 19 where others fill its caches
 MAX_LARGE_RENDERINGS = 5.0  # of a large disk, for an unresolved one
 
 

@@ -21,7 +21,7 @@ def test_a_patch_at_the_limb_is_no_sky(index):
     trial = make_trial(draw(9001, index, "full"))
     center = find_disk(trial.picture, trial.name)
     away = center.pixel_line - trial.truth_px
-    assert np.sqrt(away @ np.linalg.solve(center.covariance_px2, away)) < 5.0
+    assert np.sqrt(away @ np.linalg.solve(center.covariance_px2, away)) < 3.1
     assert np.hypot(*away) < 0.025 * trial.setup.diameter_px
 
 

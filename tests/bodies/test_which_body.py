@@ -134,7 +134,8 @@ def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px, kno
     center = find_disk(replace(picture, stars_px=place[None] if known else None), "BODY")
     assert center.status in ("ok", "uncertain"), center.messages
     error = np.hypot(*(center.pixel_line - MOON))
-    assert (chi2(center, MOON) < 14.0 and error < 1.0) if known else error < 5.0
+    assert chi2(center, MOON) < (14.0 if known else 26.0)  # 1.7 or 25.4, by the last digits of the light
+    assert error < (1.0 if known else 5.0)
 
 
 def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
@@ -163,9 +164,7 @@ def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     )
     center = find_disk(picture, "BODY")
     assert center.status in ("ok", "uncertain"), center.messages
-    assert (
-        chi2(center, truth) < 25.0
-    )  # of 16 seeds the mean is 2.0, and the first of these by far the most, 15
+    assert chi2(center, truth) < 16.0  # of 16 seeds the mean is 2.0, and the first of these by far the most
     assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
 
 

@@ -336,6 +336,12 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
+@pytest.fixture
+def wait_ms() -> int:
+    """What pages that a test opens by itself wait for anything, at most."""
+    return WAIT_MS
+
+
 class Notebooks:
     """Opens notebooks, each in a page of its own, and closes them all."""
 

@@ -96,12 +96,12 @@ def large_pictures(folder):
     return tuple(map(str, paths)), how
 
 
-def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium):
+def test_the_next_large_picture_is_in_the_page_before_its_key(lab, chromium, wait_ms):
     folder = lab.root / "large"
     folder.mkdir()
     put_notebook(folder, LabParameters(*large_pictures(folder)))
     page = chromium.new_context(viewport={"width": 1280, "height": 800}).new_page()
-    page.set_default_timeout(240_000)
+    page.set_default_timeout(wait_ms)
     asked, come = [], []
 
     def count(frame, kind, counted):

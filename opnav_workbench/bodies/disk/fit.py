@@ -473,7 +473,7 @@ class Fitter:
         go with the light then, and no part is better.
         """
         before, begun, start = self.shape, self.linear, self.linear.solution
-        tried: list[tuple[float, float, _FitState]] = []
+        tried: list[tuple[float, float, _FitState]] = []  # what it costs, its length, where it leads
         for halving in range(MOST_HALVINGS):
             self.shape = before
             length = self._move(begun, 0.5**halving)
