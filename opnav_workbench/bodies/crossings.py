@@ -28,6 +28,7 @@ __all__ = [
     "RELIEF_RAD",
     "CrossingFit",
     "LimbCrossings",
+    "Profiles",
     "cross_limb",
     "crossing_columns",
     "crossing_depths",
@@ -80,6 +81,10 @@ class LimbCrossings:
 
     def __post_init__(self) -> None:
         freeze_arrays(self)
+
+    def beyond(self, other: "LimbCrossings") -> "LimbCrossings":
+        """Return how far these lie outside of others of the same rays, where both have one."""
+        return replace(self, depth_px=self.depth_px - other.depth_px, known=self.known & other.known)
 
 
 def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, faint: float) -> FloatArray:

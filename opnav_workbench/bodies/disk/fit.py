@@ -363,7 +363,8 @@ class Fitter:
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
-        return tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
+        found = tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
+        return found._replace(prior=found.prior.with_slopes(problem.radius_px))
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""

@@ -11,7 +11,7 @@ A disk that is not much wider than the PSF has no pieces that show light of thei
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import factorial
 from typing import NamedTuple, Protocol
@@ -79,6 +79,14 @@ class FieldPrior:
     rough_px: float
     on_slopes: bool = False
     hemispheres: float = 1.0
+
+    def with_slopes(self, radius_px: float) -> "FieldPrior":
+        """Return the prior with cells at least as uneven as slopes of the relief leave their light.
+
+        Ground that rises by the limb's relief over its length is so steep, in radians, and its light differs by about as
+        much. Light that happens to fit better is no evidence of where the center is.
+        """
+        return replace(self, grain=max(self.grain, self.rough_px / (RELIEF_RAD * radius_px)))
 
     def logarithms(self) -> FloatArray:
         """Return the logarithms (5,)."""

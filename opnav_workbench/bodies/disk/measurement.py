@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
 from opnav_workbench.bodies.crossings import (
     HALF_PX,
     INTERPOLATED_VARIANCE,
     CrossingFit,
+    Profiles,
     cross_limb,
     fit_crossings,
 )
@@ -372,7 +373,33 @@ LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the pictur
 def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     """Fit center and outline to where rays cross the limb; None where too few do.
 
-    Where the picture is saturated the fitted light is cut off as the picture is: both cross half of the same level.
+    What the fitted albedo explains of their scatter is no relief.
+    """
+    outline, profiles = fit.smooth_outline, _limb_profiles(picture, fit)
+    reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
+    crossings = cross_limb(picture, outline, reach, profiles, cut_off=True)
+    if np.count_nonzero(crossings.known) < MOSTLY_CROSSED * np.count_nonzero(crossings.expected):
+        reach += FAR_SHARE * 0.5 * outline.diameter_px
+        crossings = cross_limb(picture, outline, reach, profiles, cut_off=True)
+    if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
+        return None
+    expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
+    rough = fit.prior.rough_px
+    read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0)
+    if read.relief_px == 0.0:
+        return read
+    patterned = replace(picture, signal_dn=_patterned_dn(picture, fit))
+    beyond = crossings.beyond(cross_limb(patterned, outline, reach, profiles, cut_off=True))
+    if np.count_nonzero(beyond.known) < FEWEST_CROSSINGS:
+        return read
+    relief = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
+    return replace(read, relief_px=relief.relief_px, relief_px2=relief.relief_px2)
+
+
+def _limb_profiles(picture: BodyPicture, fit: DiskFit) -> Profiles:
+    """Return the fitted light along rays, and with more or less of what is `UNSURE` of it.
+
+    Where the picture is saturated that is cut off as the picture is: both cross half of the same level.
     """
     planes = [PLANES.index(name) for name in UNSURE]
     beyond, modes = _unsure_of(fit)
@@ -388,15 +415,27 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
             each = [np.minimum(one, level / fit.brightness_dn) for one in (*each, BRIGHTER * light)]
         return np.asarray(np.stack(each).reshape(len(each), *places[0].shape))
 
-    expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
-    reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
-    crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
-    if np.count_nonzero(crossings.known) < MOSTLY_CROSSED * np.count_nonzero(crossings.expected):
-        reach += FAR_SHARE * 0.5 * fit.smooth_outline.diameter_px
-        crossings = cross_limb(picture, fit.smooth_outline, reach, profiles, cut_off=True)
-    if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
-        return None
-    return fit_crossings(crossings, fit.smooth_outline, fit.figure, fit.prior.rough_px, expected, 1.0)
+    return profiles
+
+
+def _patterned_dn(picture: BodyPicture, fit: DiskFit) -> FloatArray:
+    """Return the picture (n_line, n_pixel) as it would be with the albedo of a fit, and without heights of its limb.
+
+    A patch beside the limb moves where half of the brightness lies as relief does: here it stands by itself.
+    """
+    here = fit.pixels.index
+    smooth = np.array(picture.signal_dn)
+    model = _seen_about(fit, here, fit.smooth_outline).model_dn()
+    smooth[here] = np.minimum(model, _saturation_dn(picture))
+    return smooth
+
+
+def _seen_about(fit: DiskFit, index: tuple[IntArray, IntArray], outline: Outline) -> DiskFit:
+    """Return a fit with its light at other pixels (line, pixel), about an outline of its shape."""
+    line, pixel = index
+    near = limb_places(outline, pixel.astype(np.float64), line.astype(np.float64))
+    columns = disk_columns(fit.made, fit.shape, outline, near, on_slopes=fit.prior.on_slopes)
+    return replace(fit, pixels=near, columns=columns)
 
 
 def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
@@ -558,11 +597,8 @@ def likelier(pixels: Cutout, *fits: DiskFit) -> DiskFit:
 def _cost(pixels: Cutout, fit: DiskFit, wanted: BoolArray) -> float:
     """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
     line, pixel = here = np.nonzero(wanted)
-    outline = fit.made.outline(fit.shape)
-    near = limb_places(outline, pixel.astype(np.float64), line.astype(np.float64))
-    columns = disk_columns(fit.made, fit.shape, outline, near, on_slopes=fit.prior.on_slopes)
-    model = replace(fit, pixels=near, columns=columns).model_dn()
-    light = fit.brightness_dn * columns[RELIEF]
+    there = _seen_about(fit, (line, pixel), fit.made.outline(fit.shape))
+    model, light = there.model_dn(), fit.brightness_dn * there.columns[RELIEF]
     noise = pixels.variance_dn2(model, here)
     return surprise((pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise, SCATTERS)
 
