@@ -393,7 +393,10 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     if np.count_nonzero(beyond.known) < FEWEST_CROSSINGS:
         return read
     relief = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
-    return replace(read, relief_px=relief.relief_px, relief_px2=relief.relief_px2)
+    # Where even its own light has the limb elsewhere, a fit is not right, and its center may be off in any direction.
+    apart_px2 = WANDERED_SHARE**2 * float(relief.step_px @ relief.step_px)
+    known_px2 = relief.relief_px2 + 0.5 * apart_px2 * np.eye(2)
+    return replace(read, relief_px=relief.relief_px, relief_px2=known_px2)
 
 
 def _limb_profiles(picture: BodyPicture, fit: DiskFit) -> Profiles:
