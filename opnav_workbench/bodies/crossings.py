@@ -255,6 +255,8 @@ class CrossingFit:
         Covariance of the center by that: a figure that is not the model's has its middle elsewhere, and its light as well.
     free_log_size, free_size_sigma
         Change of the size and its uncertainty, as if nothing were known of the figure but its widest bounds.
+    patterned
+        Whether crossings are told from those of a fitted albedo, and not of an even body.
     """
 
     step_px: FloatArray
@@ -266,6 +268,7 @@ class CrossingFit:
     relief_px2: FloatArray
     free_log_size: float
     free_size_sigma: float
+    patterned: bool = False
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -116,7 +116,8 @@ def crossing_reading(
     else:
         return None
     covariance = covariance + disk.hidden_px2
-    return second_reading("limb crossings", place, covariance, first_px, first_covariance_px2)
+    name = "limb crossings" + " among its patches" * (read is not None and read.patterned)
+    return second_reading(name, place, covariance, first_px, first_covariance_px2)
 
 
 def difference_covariance(away_px: FloatArray) -> FloatArray:

@@ -83,9 +83,10 @@ def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
     second = crossing_reading(disk, disk.fit.center_px, disk.fit.covariance_px2)
     reading = disk_reading(disk, METHOD, second)
     if second is not None:
-        if alike(disk.fit, disk.crossing):
+        patterned = disk.crossing is not None and disk.crossing.patterned  # by the likelihood's own albedo
+        if alike(disk.fit, disk.crossing) and not patterned:
             reading = _of_both(reading, second)
-        elif _better_supported(reading, second):
+        elif patterned or _better_supported(reading, second):
             reading = _with_difference(reading, second.pixel_line - reading.center_px)
         else:
             reading = _crossings_instead(reading, second)

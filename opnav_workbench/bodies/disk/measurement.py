@@ -354,6 +354,9 @@ ROUGHEST = 0.2  # of the radius
 
 FEWEST_CROSSINGS = 12
 ALIKE_SIGMAS = 3.5  # of two coordinates: 0.2 % of right answers differ by more
+# Farther from crossings than so many sigmas a fit's albedo is asked for what it explains of them; so near, by its own sigmas
+# alone, it has to have the limb with it.
+EXPLAINED_SIGMAS = 2.0
 ALIKE_PX = 0.3  # half of the brightness may lie so far beside the limb; what it is goes into the covariance
 UNSURE = (
     "blur",
@@ -373,7 +376,9 @@ LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the pictur
 def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     """Fit center and outline to where rays cross the limb; None where too few do.
 
-    What the fitted albedo explains of their scatter is no relief.
+    What the fitted albedo explains of their scatter is no relief, and no other center: patches beside the limb move where
+    half of the brightness lies. A fit that stands elsewhere leaves crossings that its albedo does not explain: there is no
+    limb where it has one, or light beyond it.
     """
     outline, profiles = fit.smooth_outline, _limb_profiles(picture, fit)
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
@@ -386,17 +391,21 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     rough = fit.prior.rough_px
     read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0)
-    if read.relief_px == 0.0:
+    agree = alike(fit, read, EXPLAINED_SIGMAS)
+    if read.relief_px == 0.0 and agree:
         return read
     patterned = replace(picture, signal_dn=_patterned_dn(picture, fit))
     beyond = crossings.beyond(cross_limb(patterned, outline, reach, profiles, cut_off=True))
     if np.count_nonzero(beyond.known) < FEWEST_CROSSINGS:
         return read
-    relief = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
+    left = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
     # Where even its own light has the limb elsewhere, a fit is not right, and its center may be off in any direction.
-    apart_px2 = WANDERED_SHARE**2 * float(relief.step_px @ relief.step_px)
-    known_px2 = relief.relief_px2 + 0.5 * apart_px2 * np.eye(2)
-    return replace(read, relief_px=relief.relief_px, relief_px2=known_px2)
+    relief = min(left, read, key=lambda each: each.relief_px)
+    relief_px2 = relief.relief_px2 + 0.5 * WANDERED_SHARE**2 * float(left.step_px @ left.step_px) * np.eye(2)
+    apart = sigmas_apart(left.step_px, fit.covariance_px2)
+    explained = same_center(left.step_px, apart, EXPLAINED_SIGMAS)
+    believed = replace(left, patterned=True) if explained and not agree else read
+    return replace(believed, relief_px=relief.relief_px, relief_px2=relief_px2)
 
 
 def _limb_profiles(picture: BodyPicture, fit: DiskFit) -> Profiles:
@@ -462,14 +471,12 @@ def crossing_covariance(scatter_px2: FloatArray) -> FloatArray:
     return np.asarray(scatter_px2 + HALF_PX**2 * np.eye(2))
 
 
-def alike(fit: DiskFit, crossing: CrossingFit | None) -> bool:
-    """Tell whether two readings of a center are the same; a missing one is not."""
+def alike(fit: DiskFit, crossing: CrossingFit | None, most: float = ALIKE_SIGMAS) -> bool:
+    """Tell whether two readings of a center are the same, `most` sigmas apart; a missing one is not."""
     if crossing is None:
         return False
-    step = crossing.step_px
-    return same_center(
-        step, sigmas_apart(step, crossing_covariance(crossing.covariance[:2, :2]) + fit.covariance_px2)
-    )
+    covariance = crossing_covariance(crossing.covariance[:2, :2]) + fit.covariance_px2
+    return same_center(crossing.step_px, sigmas_apart(crossing.step_px, covariance), most)
 
 
 def sigmas_apart(step_px: FloatArray, covariance_px2: FloatArray) -> float:
@@ -477,9 +484,9 @@ def sigmas_apart(step_px: FloatArray, covariance_px2: FloatArray) -> float:
     return float(np.sqrt(step_px @ np.linalg.solve(covariance_px2, step_px)))
 
 
-def same_center(step_px: FloatArray, sigmas: float) -> bool:
+def same_center(step_px: FloatArray, sigmas: float, most: float = ALIKE_SIGMAS) -> bool:
     """Tell whether two readings that differ by so many px and sigmas are of one center."""
-    return sigmas < ALIKE_SIGMAS or float(np.hypot(*step_px)) < ALIKE_PX
+    return sigmas < most or float(np.hypot(*step_px)) < ALIKE_PX
 
 
 def _from_crossings(
