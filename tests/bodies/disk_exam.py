@@ -28,8 +28,10 @@ PHASE_EDGES_DEG = (0.0, 40.0, 90.0, 130.0)
 FIGURES = ("right", "size", "axes")
 GRIDS = {
     "tiny": (1.0, 9.0), "small": (5.0, 150.0), "full": (5.0, 800.0), "odd": (3.0, 2000.0), "overexposed": (5.0, 800.0),
+    "rough": (30.0, 400.0),
 }  # fmt: skip
-MAX_PHASE_DEG = {"tiny": 130.0, "small": 130.0, "full": 130.0, "odd": 150.0, "overexposed": 130.0}
+MAX_PHASE_DEG = {name: 150.0 if name == "odd" else 130.0 for name in GRIDS}
+RELIEF = (0.003, 0.01, 0.03)  # of the radius, rms, of a rough one
 HELD = (0.05, 0.8)  # of the peak, by an overexposed detector
 TRIAXIAL = (1.12, 1.0, 0.88)
 PSFS, PSF_SHARES = ("known", "known_wings", "width", "wings"), (0.4, 0.15, 0.25, 0.2)
@@ -79,6 +81,8 @@ def draw(seed, index, grid="full"):
     )
     if grid == "overexposed":
         return replace(setup, saturation_dn=setup.peak_dn * float(np.exp(rng.uniform(*np.log(HELD)))))
+    if grid == "rough":
+        return replace(setup, topography=RELIEF[(index // 3) % len(RELIEF)])
     return setup if grid != "odd" else _with_oddities(setup, rng)
 
 
@@ -247,6 +251,7 @@ KEYS = {
         + "hit " * (r["cosmic_rays"] > 0)
         + "rough" * (r["topography"] > 0)
     ),
+    "relief": lambda r: f"{100.0 * r['topography']:.1f} %",
     "place": lambda r: "anywhere" if r["place_px"] else "inside",
     "status": lambda r: r["status"],
 }
@@ -264,6 +269,7 @@ TABLES = (
     ("law name",),
     ("family",),
     ("oddities",),
+    ("relief",),
 )
 HEAD = f"{'':36s}   n asked   ok%  err/sig  (median)  err/bound  median px    max px  false  cpu s"
 

@@ -75,3 +75,14 @@ def test_crossings_by_a_likelihoods_own_albedo_are_not_weighed_with_it(doubted):
     np.testing.assert_array_equal(judged_disk(disk).pixel_line, disk.fit.center_px)
     other = replace(disk, crossing=replace(disk.crossing, patterned=False))
     assert np.any(judged_disk(other).pixel_line != disk.fit.center_px)
+
+
+def test_an_albedo_over_all_of_a_small_disk_confirms_nothing(monkeypatch):
+    """It would explain any center's light: with the crossings 0.4 px or more beside, nothing is made of what it explains."""
+    trial = make_trial(TrialSetup(11, 12.0, 70.0, family="blobs_0.6", contrast=9.0))
+    disk = measure_disk(trial.picture, trial.name, "disk", None, None)
+    assert len(disk.fit.solution.albedo) == 1
+    monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.EXPLAINED_SIGMAS", 1e-6)
+    monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.ALIKE_PX", 1e3)
+    monkeypatch.setattr("opnav_workbench.bodies.disk.measurement.alike", lambda *_: False)
+    assert not read_crossings(disk.picture, disk.fit).patterned
