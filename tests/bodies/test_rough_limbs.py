@@ -62,7 +62,7 @@ def rough_one(family, phase, diameter, topography):
     return make_trial(replace(setup, family=family, contrast=1.0 if family == "uniform" else 9.0))
 
 
-@pytest.mark.slow(keep=["uniform", "blobs_0.05"])
+@pytest.mark.slow(keep=["uniform-80.0", "blobs_0.05-30.0"])
 @pytest.mark.parametrize(
     ("family", "phase"), [("uniform", 80.0), ("blobs_0.2", 80.0), ("blobs_0.05", 30.0), ("field_small", 5.0)]
 )
