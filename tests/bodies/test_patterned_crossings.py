@@ -11,7 +11,6 @@ from opnav_workbench.bodies.disk import problem
 from opnav_workbench.bodies.disk.measurement import alike, read_crossings
 from opnav_workbench.bodies.disk.starts import fit_disk
 
-AXES = (1.0, 1.0, 1.0)
 # Centers that crossings doubted, 5 to 10 px beside at 4 to 12 of their sigmas: patches on the limb had drawn those.
 DOUBTED = {
     "258 px": TrialSetup(
@@ -20,16 +19,16 @@ DOUBTED = {
     ),
     "388 px": TrialSetup(
         1782899656, 388.201, 72.157, family="field_mid", contrast=9.0, law="lommel_seeliger", figure_error=0.0884,
-        figure_pattern=AXES, displacement_px=67.931, psf="wings", peak_dn=509.8,
+        figure_pattern=(1.0, 1.0, 1.0), displacement_px=67.931, psf="wings", peak_dn=509.8,
     ),
 }  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def doubted():
-    """The first, and its disk measured."""
+    """The disk of the first, measured."""
     trial = make_trial(DOUBTED["258 px"])
-    return trial, measure_disk(trial.picture, trial.name, "disk", None, None)
+    return measure_disk(trial.picture, trial.name, "disk", None, None)
 
 
 @pytest.mark.slow(keep=["258 px"])
@@ -49,9 +48,8 @@ def test_patches_do_not_doubt_a_center_that_explains_them(case):
 @pytest.mark.parametrize("away_px", [(2.5, 1.0), (0.3, -5.0), (-7.0, -2.0)])
 def test_an_albedo_does_not_confirm_a_fit_that_stands_elsewhere(doubted, away_px, monkeypatch):
     """Held there, with all the albedo that it likes."""
-    _, disk = doubted
     monkeypatch.setattr(problem, "PLACE_PX", 0.05)
-    fit = disk.fit
+    disk, fit = doubted, doubted.fit
     place = replace(
         fit.place,
         center_px=fit.center_px + away_px,
@@ -69,16 +67,16 @@ def test_an_albedo_does_not_confirm_a_fit_that_stands_elsewhere(doubted, away_px
 
 def test_crossings_by_a_likelihoods_own_albedo_are_not_weighed_with_it(doubted):
     """They are no other reading of the place, only of whether the picture has a limb where the fit has one."""
-    _, disk = doubted
-    assert disk.crossing.patterned
-    assert np.hypot(*disk.crossing.step_px) > 0.0
-    np.testing.assert_array_equal(judged_disk(disk).pixel_line, disk.fit.center_px)
-    other = replace(disk, crossing=replace(disk.crossing, patterned=False))
-    assert np.any(judged_disk(other).pixel_line != disk.fit.center_px)
+    crossing = doubted.crossing
+    assert crossing.patterned
+    assert np.hypot(*crossing.step_px) > 0.0
+    np.testing.assert_array_equal(judged_disk(doubted).pixel_line, doubted.fit.center_px)
+    other = replace(doubted, crossing=replace(crossing, patterned=False))
+    assert np.any(judged_disk(other).pixel_line != doubted.fit.center_px)
 
 
 def test_an_albedo_over_all_of_a_small_disk_confirms_nothing(monkeypatch):
-    """It would explain any center's light: with the crossings 0.4 px or more beside, nothing is made of what it explains."""
+    """It would explain any center's light, so that crossings which differ are left as they are, however near it has them."""
     trial = make_trial(TrialSetup(11, 12.0, 70.0, family="blobs_0.6", contrast=9.0))
     disk = measure_disk(trial.picture, trial.name, "disk", None, None)
     assert len(disk.fit.solution.albedo) == 1

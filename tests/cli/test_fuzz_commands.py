@@ -210,9 +210,8 @@ def test_command(name, fuzz, folder, web, demo_truths, request):
             text = not file.endswith(BINARY)
             folder.joinpath(file).write_bytes(mutant(good, rng, text=text))
         try:
-            with within(
-                4.0 * SECONDS
-            ):  # one makes the index of all the sky's stars, on a busy machine slowly
+            # One makes the index of all the sky's stars, on a busy machine slowly.
+            with within(4.0 * SECONDS):
                 told = answer(arguments)
             check_answer(*told)
             check_left(folder, truth)

@@ -403,10 +403,9 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     relief = min(left, read, key=lambda each: each.relief_px)
     relief_px2 = relief.relief_px2 + 0.5 * WANDERED_SHARE**2 * float(left.step_px @ left.step_px) * np.eye(2)
     apart = sigmas_apart(left.step_px, fit.covariance_px2)
-    telling = (
-        len(fit.solution.albedo) > 1
-    )  # that of a disk of a few widths of the PSF, one for all, explains anything
-    explained = telling and same_center(left.step_px, apart, EXPLAINED_SIGMAS)
+    # That of a disk of a few widths of the PSF, one for all pieces, would explain anything.
+    by_pieces = len(fit.solution.albedo) > 1
+    explained = by_pieces and same_center(left.step_px, apart, EXPLAINED_SIGMAS)
     believed = replace(left, patterned=True) if explained and not agree else read
     return replace(believed, relief_px=relief.relief_px, relief_px2=relief_px2)
 
