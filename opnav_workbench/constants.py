@@ -59,9 +59,8 @@ SUN_RADIUS_KM = 695_700.0  # nominal: IAU 2015 resolution B3
 SUN_GM_KM3_S2 = 1.3271244e11  # nominal: IAU 2015 resolution B3
 SOLAR_CONSTANT_W_M2 = 1361.0  # at 1 au, nominal: IAU 2015 resolution B3
 OBLIQUITY_J2000_RAD = math.radians(84_381.448 / HOUR_S)  # IAU 1976, as SPICE's ECLIPJ2000
-FASTEST_STAR_RAD_YR = (
-    10_400.0 * RAD_PER_MAS
-)  # Barnard's star (Benedict et al. 1999, AJ 118, 1086); none moves faster
+# Barnard's star (Benedict et al. 1999, AJ 118, 1086); none moves faster
+FASTEST_STAR_RAD_YR = 10_400.0 * RAD_PER_MAS
 
 
 # ---- NAIF's numbers of bodies.

@@ -75,9 +75,8 @@ def fit_lighting(signal_dn: FloatArray, bad: BoolArray, circle: Circle) -> Light
     (90, 54)
     """
     seen, place = _cells(signal_dn, bad, circle)
-    bright = (
-        float(np.quantile(seen, 0.98)) if seen.size else 0.0
-    )  # of cells: a cosmic ray is none of the disk
+    # Of cells: a cosmic ray is none of the disk
+    bright = float(np.quantile(seen, 0.98)) if seen.size else 0.0
     if not bright > 0.0:
         raise CenterfindingError("no light in the circle; draw it around the body.")
     seen = seen / bright

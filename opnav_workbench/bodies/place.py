@@ -78,10 +78,8 @@ RING_SHARE = 0.35  # of the radius: sky about the body that must be dark
 LEAST_VISIBLE = 0.04  # of the lit silhouette that must lie on the detector
 
 
-NEAR_SCORE, NEAR_SHARE = (
-    0.75,
-    0.85,
-)  # a place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
+# A place near the expected one is taken if it is so good, itself and beside the best, which is 1 at most
+NEAR_SCORE, NEAR_SHARE = 0.75, 0.85
 LEAST_SCORE = 0.4  # of a body that is there: the lowest of 270 were 0.57 (clipped and small), of stars and hits 0.1 to 0.3
 # Of the light that a star or another body explains, in sigmas. A body explains more of its own than a star does, a star
 # less; the smallest are alike: of 400 bodies of 1 to 2000 px all explained 0.99 of it or more.
@@ -405,10 +403,8 @@ def _full_disk(inside: FloatArray, width: int) -> BoolArray:
 # their rendered light is looked for.
 
 BLURRED_PX = 9.0
-SEEN_SNR, SEEN_SHARE = (
-    5.0,
-    0.3,
-)  # of a body that is there, and how much of what is under it the model explains
+# Of a body that is there, and how much of what is under it the model explains
+SEEN_SNR, SEEN_SHARE = 5.0, 0.3
 FAINT_SEARCH_PX = 200.0
 REFINED_PX = 3.0  # about a silhouette
 

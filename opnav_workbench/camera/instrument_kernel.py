@@ -62,29 +62,21 @@ UNIT_TOLERANCE = 3.0  # a field of view tells meters from millimeters, whatever 
 NOMINAL_FOCAL_MM = 100.0  # where only angles are known, any focal length does: pixels per mm follow from it
 PARALLEL = 0.7  # |cosine| that tells along from across
 WIDEST_RAD = 87.0 * RAD_PER_DEG  # from the boresight: what lies farther has no gnomonic coordinates
-DETECTOR_TOLERANCE, ALIKE_RAD = (
-    0.05,
-    1e-3,
-)  # of the angle to the axis, and at least; HRSC's lines agree to 0.01
+# Of the angle to the axis, and at least; HRSC's lines agree to 0.01
+DETECTOR_TOLERANCE, ALIKE_RAD = 0.05, 1e-3
 ALONG_Z = 1e-6  # sine of the angle from Z up to which a boresight lies along it
 PITCH_MM = (1e-3, 0.2)  # of a detector's pixel, the largest range; units of length lie 1000 apart
 SIZE_UNITS = (("mm", 1.0), ("um", 1e-3), ("m", 1e3))
 SHORTEST_FOCAL_MM = 1.0
-XY_CODE = (
-    "OOC_KMAT",
-    "DISTORTION_X",
-)  # of kernels whose comments project X and Y of the frame onto pixel and line
+# Of kernels whose comments project X and Y of the frame onto pixel and line
+XY_CODE = "OOC_KMAT", "DISTORTION_X"
 COUNTS = {
     "n_pixel": ("PIXEL_SAMPLES", "FRAME_SAMPLES", "FILTER_SAMPLES", "S_MAX", "PIXEL_COLUMNS"),
     "n_line": ("PIXEL_LINES", "FRAME_LINES", "FILTER_LINES", "L_MAX", "PIXEL_ROWS"),
 }
 MOST_PIXELS = 1 << 20  # along an axis: no detector or scan has a million
-IFOV_UNITS = (
-    ("microrad", 1e-6),
-    ("rad", 1.0),
-    ("mrad", 1e-3),
-    ("deg", RAD_PER_DEG),
-)  # the first that fits the field of view
+# The first that fits the field of view
+IFOV_UNITS = ("microrad", 1e-6), ("rad", 1.0), ("mrad", 1e-3), ("deg", RAD_PER_DEG)
 LONGEST_IFOV_RAD = (
     0.01  # in radians where the kernel tells no field of view: a smaller number of microradians is no pixel
 )

@@ -36,10 +36,8 @@ LEVEL = 3
 N_PIECES = 12 * 4**LEVEL
 NUMBERS_A_PIECE = 2 ** (59 - 2 * LEVEL)
 MOST_ROWS = 5_000_000  # of a piece: a hundred times what the fullest one holds at the faintest limit
-MAG_LIMITS = (
-    3.0,
-    15.0,
-)  # about 35 million stars, 4 GB in memory while they are sorted; a deeper sky is fetched by the cone
+# About 35 million stars, 4 GB in memory while they are sorted; a deeper sky is fetched by the cone
+MAG_LIMITS = 3.0, 15.0
 TAIL_BYTES = 1 << 16
 COPIED = (
     "ra_rad", "dec_rad", "epoch_jyear", "mag", "pmra_rad_yr", "pmdec_rad_yr", "parallax_rad", "sigma", "position_motion",

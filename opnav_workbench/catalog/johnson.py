@@ -120,10 +120,8 @@ TYCHO_RANGE, TYCHO_SPLIT = (-0.25, 2.0), 0.5  # BT-VT
 TYCHO_V = (9.7e-4, -0.1334, 0.05486, -0.01998)  # V - VT
 TYCHO_BLUE = (-0.006, 1.0 - 0.1069, 0.1459)  # B-V below the split
 TYCHO_RED = (0.0, 1.0 - 0.007813, -0.1489, 0.03384)  # and above
-TYCHO_SCATTER = (
-    0.015,
-    0.05,
-)  # V, B-V: "errors below 0.015 mag in V and 0.05 in B-V" for stars without reddening
+# V, B-V: "errors below 0.015 mag in V and 0.05 in B-V" for stars without reddening
+TYCHO_SCATTER = 0.015, 0.05
 
 HP_MINUS_V = (0.0072, 0.2964, -0.1110, -0.0157)  # polynomial in B-V
 HP_RANGE, HP_SCATTER = (-0.25, 2.0), 0.012

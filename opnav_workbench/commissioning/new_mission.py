@@ -313,9 +313,8 @@ class _Maker:
             if found is not None:
                 camera = replace(camera, confirmed_by=f"{image.name}: {solved}")
             self.write(camera, keywords, f"How the detector lies: {told}.")
-        aside = (
-            self.wanted.folder / SIMULATED
-        )  # with guesses that a picture's own processing must not rest on
+        # With guesses that a picture's own processing must not rest on
+        aside = self.wanted.folder / SIMULATED
         self.write(able_to_simulate(camera), keywords, "To simulate pictures with.", aside)
         pictures = write_scenario(aside, self.craft, STEM, camera, place, self.wanted.catalog)
         origins = (*camera.origins, *_header_origins(words, found, keywords))

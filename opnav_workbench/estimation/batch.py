@@ -239,9 +239,8 @@ class Estimate:
 REJECT_SIGMAS = 4.5  # one good center in 150 000 is lost
 MAX_ITERATIONS = 20
 CONVERGED_SIGMAS = 1e-6  # of the last step; quadratic convergence leaves 1e-12
-MOST_REJECTED = (
-    1.0 / 3.0
-)  # share of the measurements; with more the sigmas or the model are wrong, not the outliers
+# Share of the measurements; with more the sigmas or the model are wrong, not the outliers
+MOST_REJECTED = 1.0 / 3.0
 
 
 @dataclass(slots=True)

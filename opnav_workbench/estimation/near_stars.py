@@ -144,9 +144,8 @@ def _sky_covariance(stars: StarTable, et: FloatArray) -> FloatArray:
 # ---- Which two stars fix a spacecraft's position best, with a camera of a given error.
 
 NEAREST_COUNT = 60
-SAME_STAR_RAD = (
-    60.0 / ARCSEC_PER_RAD
-)  # a star of the list this near a catalog star, after motion, is the same
+# A star of the list this near a catalog star, after motion, is the same
+SAME_STAR_RAD = 60.0 / ARCSEC_PER_RAD
 # An unresolved companion moves the light by more than a camera's error: such stars are no landmarks.
 NOT_LANDMARKS = StarQuality.DOUBLE | StarQuality.BAD_ASTROMETRY
 

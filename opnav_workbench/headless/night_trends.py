@@ -11,10 +11,8 @@ from opnav_workbench.errors import OpNavError
 __all__ = ["TRENDS_FIGURE", "write_night_trends"]
 
 TRENDS_FIGURE = "trends.png"
-FEWEST, MOST = (
-    6,
-    20_000,
-)  # of fewer pictures no outlier is known; more take longer to draw than a night shall wait
+# Of fewer pictures no outlier is known; more take longer to draw than a night shall wait
+FEWEST, MOST = 6, 20_000
 
 
 def write_night_trends(archive: Path | None, out: Path) -> dict[str, Any]:

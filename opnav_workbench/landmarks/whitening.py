@@ -43,10 +43,8 @@ DESIGNS, DESIGN_TOLERANCE_PX = 5, 0.01
 MOST_STEPS = 8  # of the fit, about the design of its start
 SURROUNDINGS_PX, LEAST_NEAR = 2.0, 0.05
 AROUND = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])  # px
-FEWEST_TOLD, FEW_WORTH = (
-    10,
-    8.0,
-)  # patches that tell how they differ; fewer: as patches of an exam do, in counts
+# Patches that tell how they differ; fewer: as patches of an exam do, in counts
+FEWEST_TOLD, FEW_WORTH = 10, 8.0
 MOST_WORTH = 200.0  # counts of what all patches have in common: more change nothing
 LEAST_SQUARE = np.float32(1e-30)  # of planes without any light
 FLOOR = (

@@ -39,10 +39,8 @@ PictureProgress = Callable[[str, str], None]
 
 NEIGHBOR_PART = 0.05  # a neighbor of less light than this does not show in a stack of many stars
 SAME_STAR_PX = 1.0  # of a detection and a fit: they err by parts of a pixel, and crowded stars are left out
-ISOLATION_SIGMAS, ISOLATION_PX = (
-    8.0,
-    5.0,
-)  # a neighbor nearer than this (sigmas of the PSF, pixels) spoils a star
+# A neighbor nearer than this (sigmas of the PSF, pixels) spoils a star
+ISOLATION_SIGMAS, ISOLATION_PX = 8.0, 5.0
 STACK_SNR, TEACHING_SNR = 50.0, 15.0  # fainter stars say little in a stack, and of light within a pixel
 UNFIT_FLAGS = StarFlag.SATURATED | StarFlag.COSMIC_RAY | StarFlag.EDGE | StarFlag.BAD_PIXELS
 

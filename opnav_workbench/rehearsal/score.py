@@ -56,10 +56,8 @@ ORBIT_SECTIONS = {"landmarks": 20.0, "prediction": 20.0}
 OVERCONFIDENT, BOLD = 0.5, 0.25
 TIMID = 3.0  # the same, the other way: a solution that hides behind its sigmas
 FIT_PROBABILITY = 1e-3
-SMALL_CENTER_SIGMAS, CENTER_PROBABILITY = (
-    2.0,
-    1e-4,
-)  # rms of center errors in sigmas, and that it is no chance
+# rms of center errors in sigmas, and that it is no chance
+SMALL_CENTER_SIGMAS, CENTER_PROBABILITY = 2.0, 1e-4
 BLUNDER_PX = 1.0  # a pointing off by more, and by more than WRONG_SIGMAS, is another star field
 
 RULE = (

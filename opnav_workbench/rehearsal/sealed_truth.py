@@ -78,9 +78,8 @@ def picture_truth_from_values(values: Mapping[str, Any], folder: Path) -> Truth:
 # ---- The sealed truth of a rehearsal: written encrypted, opened with the director's key and in no other way.
 
 TRUTH_FORMAT = "opnav-ort-truth/1"
-SHORTEST_CHARS = (
-    1 << 18
-)  # padded to this, or to twice, four times ... as much: what storms and stars add does not show
+# Padded to this, or to twice, four times ... as much: what storms and stars add does not show
+SHORTEST_CHARS = 1 << 18
 KEY_MODE = 0o600
 SALT_BYTES = 32
 

@@ -63,10 +63,8 @@ class WingCenters:
 
 ABOVE_AND_BELOW = np.array([[0, 1, 0], [0, 1, 0], [0, 1, 0]], bool)
 CORE_REACH_PX = 3.0  # a saturated core this near to the place where a star is expected is that star's
-BLEEDING_RATIO, BLEEDING_PX = (
-    1.3,
-    2.0,
-)  # a core longer than this times its width, and this, has bled along its columns
+# A core longer than this times its width, and this, has bled along its columns
+BLEEDING_RATIO, BLEEDING_PX = 1.3, 2.0
 WING_CORES, WING_SIGMAS = 2.0, 5.0  # half the box, in radii of the core and sigmas of the PSF
 MAX_HALF_PX = 40
 MIN_LIT_PIXELS = 6  # that show the star at 3 sigmas of the noise: three times what a center and a flux need

@@ -290,10 +290,8 @@ def _dn_text(dn: float) -> str:
 DRAG_SHAPES = {CIRCLE: "circle", BOX_SCANS: "box", SUN: "line"}  # what a drag draws
 CIRCLE_LAYER = "limb points"
 SCANS_LAYER = "limb scans"
-BODY_SPAN, LEAST_SPAN_PX = (
-    1.8,
-    48.0,
-)  # of the picture when the tab is opened: diameters, and px for a small body
+# Of the picture when the tab is opened: diameters, and px for a small body
+BODY_SPAN, LEAST_SPAN_PX = 1.8, 48.0
 
 
 class BodiesTab(Tab):

@@ -346,9 +346,8 @@ def fitted_disks(light, target, count):
     half = int(0.5 * target.prediction.diameter_px) + 25
     pixel, line = np.rint(target.prediction.pixel_line).astype(int)
     part = np.s_[line - half : line + half + 1, pixel - half : pixel + half + 1]
-    smear = (
-        light.expected_e - light.picture.noiseless_electrons
-    )  # of the frame transfer: calibration takes it off
+    # Of the frame transfer: calibration takes it off
+    smear = light.expected_e - light.picture.noiseless_electrons
     blank = np.zeros(light.expected_e.shape)
     centers = []
     for _ in range(count):

@@ -36,15 +36,11 @@ HELD = (0.05, 0.8)  # of the peak, by an overexposed detector
 TRIAXIAL = (1.12, 1.0, 0.88)
 PSFS, PSF_SHARES = ("known", "known_wings", "width", "wings"), (0.4, 0.15, 0.25, 0.2)
 CUT_SHARE = 0.1  # of the trials have their center anywhere in the frame
-FAIR_SNR, FAIR_LIMB = (
-    20.0,
-    0.3,
-)  # where the issue asks for a center: that limb SNR, and enough of the limb in the frame
+# Where the issue asks for a center: that limb SNR, and enough of the limb in the frame
+FAIR_SNR, FAIR_LIMB = 20.0, 0.3
 FALSE_SIGMAS, FALSE_PX = 5.0, 0.1
-GOLDEN = (
-    0.7548776662466927,
-    0.5698402909980532,
-)  # steps of the R2 sequence: even in size and phase at any number
+# Steps of the R2 sequence: even in size and phase at any number
+GOLDEN = 0.7548776662466927, 0.5698402909980532
 
 
 # ---- What is drawn.

@@ -110,9 +110,8 @@ def make_sequence(seed, body="bennu", count=30, sizes=(20.0, 400.0), phase_deg=4
     surface = make_surface(family, contrast, 100.0, random, data_folder())
     pictures = []
     for k, (et, distance, diameter) in enumerate(zip(times, ranges, diameters, strict=True)):
-        position = (
-            distance * toward + 0.1 * ranges[-1] * drift
-        )  # a straight line: a path that bends would tell its scale
+        # A straight line: a path that bends would tell its scale
+        position = distance * toward + 0.1 * ranges[-1] * drift
         pictures.append(_picture(k, et, position, diameter, camera, radii, rotation, sun, LAWS[law], phase, surface, offset,
                                  state, psf_error, random, seed))  # fmt: skip
     return Sequence(

@@ -294,9 +294,8 @@ def test_errors_over_sigmas_of_a_pushed_spacecraft(approach, noise_of, displaced
     for _ in range(60):
         drawn, true = thrusting(observables, noise, displaced, rng, 5e-10, tau, 0.1)
         start = straight_line(drawn[0].et, drawn[-1].et)
-        prior = (
-            start @ np.diag([5.0] * 3 + [1e-5] * 3) ** 2 @ start.T
-        )  # that of the first picture, told at the epoch
+        # That of the first picture, told at the epoch
+        prior = start @ np.diag([5.0] * 3 + [1e-5] * 3) ** 2 @ start.T
         found = filter_estimate(
             drawn,
             CRAFT,

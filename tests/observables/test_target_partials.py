@@ -158,9 +158,8 @@ def test_range_and_size_move_with_the_spacecraft(cameras, body_seen_at):
     slopes = [(np.linalg.norm(position - s) - np.linalg.norm(position + s)) / 200.0 for s in steps]
     np.testing.assert_allclose(result.range_partials, slopes, atol=1e-9)
     camera, attitude = cameras["pinhole"], attitude_of(cameras["pinhole"])
-    ahead = (
-        attitude.T @ camera.focal_from_camera.T @ np.array([0.0, 0.0, 8e4])
-    )  # 1.7 deg wide, seen on the axis
+    # 1.7 deg wide, seen on the axis
+    ahead = attitude.T @ camera.focal_from_camera.T @ np.array([0.0, 0.0, 8e4])
 
     def width(relative):
         limb = camera.project(limb_points(relative, np.full(3, 1188.3), np.eye(3), 4000) @ attitude.T)

@@ -103,9 +103,8 @@ def _electrons(stage, target, places, reflectance):
     apparent = stage.camera.unproject(places) @ stage.camera_from_j2000
     ray = geometric_direction(apparent, stage.velocity_km_s) @ turn.T
     camera, sun = -turn @ target.position_km, turn @ target.sun_position_km
-    nearest = (
-        camera - (ray @ camera)[..., None] * ray
-    )  # of the ray to the center: keeps the quadratic well scaled
+    # Of the ray to the center: keeps the quadratic well scaled
+    nearest = camera - (ray @ camera)[..., None] * ray
     weight = 1.0 / target.radii_km
     a, b, c = (
         np.sum((ray * weight) ** 2, axis=-1),

@@ -144,10 +144,8 @@ def test_any_sequence_of_steps_replays_to_the_same_result(untouched, tmp_path_fa
     with KernelSet(DEMO_KERNELS):
         session = ImageSession(untouched.context, untouched.source, untouched.inputs)
         session.autosave(folder)
-        line, at = (
-            [session.state],
-            0,
-        )  # every state on the way to the present one, and those that redo leads to
+        # Every state on the way to the present one, and those that redo leads to
+        line, at = [session.state], 0
         for name, number in [("predict", 0), ("find_stars", 0), *sequence]:
             present = session.state
             try:

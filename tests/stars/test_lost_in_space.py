@@ -106,9 +106,8 @@ def test_the_map_of_detections_tells_the_nearest_and_nothing_far_off():
     drawn = DetectionMap.drawn(seen, 0.01)
     asked = np.array([[0.001, 0.0], [0.005, 0.001], [0.2, -0.095], [0.1, 0.1], [-0.02, 0.0]])
     rotations = np.stack([np.eye(3), random_attitude(np.random.default_rng(6))])
-    stars = (
-        np.column_stack([asked, np.ones(5)]) @ rotations
-    )  # that stand there by these attitudes, at scale 1
+    # That stand there by these attitudes, at scale 1
+    stars = np.column_stack([asked, np.ones(5)]) @ rotations
     axes = drawn.axes(rotations, np.ones(2))
     found = drawn.near(stars.astype(np.float32), axes)
     np.testing.assert_array_equal(found, [[0, 1, 2, -1, -1]] * 2)

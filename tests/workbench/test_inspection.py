@@ -120,8 +120,7 @@ def test_image_is_laid_by_direction_or_by_pixel(solved_sessions):
     )
     found = by_sky[places[:, 1].astype(int), places[:, 0].astype(int)]
     size = np.array(other.context.picture.image_dn.shape[::-1])
-    clear = (
-        np.abs(there - np.floor(there) - 0.5) > 0.02
-    )  # not between two pixels, nor on the last half of an edge
+    # Not between two pixels, nor on the last half of an edge
+    clear = np.abs(there - np.floor(there) - 0.5) > 0.02
     clear = (clear & (np.abs(there + 0.25) > 0.3) & (np.abs(there - size + 0.75) > 0.3)).all(axis=1)
     np.testing.assert_array_equal(found[clear], expected[clear])

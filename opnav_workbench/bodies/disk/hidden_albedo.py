@@ -19,10 +19,8 @@ from opnav_workbench.arrays import FloatArray, freeze_arrays
 __all__ = ["ArcHats", "HiddenAlbedo", "hidden_albedo"]
 
 DEEPEST_WIDTHS = 4.0  # of the PSF: K is 2 % there
-ARCS, TURNS = (
-    12,
-    5,
-)  # points of Gauss-Legendre: from the limb inward, and over each half of what two pieces lie apart
+# Points of Gauss-Legendre: from the limb inward, and over each half of what two pieces lie apart
+ARCS, TURNS = 12, 5
 FARTHEST = 4  # pieces: from there on less than a hundredth
 
 

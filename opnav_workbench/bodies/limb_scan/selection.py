@@ -29,10 +29,8 @@ __all__ = ["ScanSelection", "checked_scan_numbers", "choose_scans"]
 FAINT_PX = 1.0  # uncertainty of an offset beyond which a scan says nothing
 FAINT_LIMB = 0.15  # of the brightest limb: nearer to the cusps limb and terminator mix
 LOST_SHARE = 0.02  # of what a scan tells may lie on unusable samples
-UNEVEN_RATIO, UNEVEN_SHARE = (
-    2.0,
-    0.1,
-)  # of the median unevenness, and of the brightness: both, and a scan is left out
+# Of the median unevenness, and of the brightness: both, and a scan is left out
+UNEVEN_RATIO, UNEVEN_SHARE = 2.0, 0.1
 SPAN_RAD = np.radians(90.0)  # that the others must turn through, if all of them do
 
 

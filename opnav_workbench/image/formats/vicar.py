@@ -31,10 +31,8 @@ WHOLE_NUMBER = re.compile(r"[+-]?\d+")
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[EeDd][+-]?\d{1,3})?")
 INTEGERS = {"BYTE": "u1", "HALF": "i2", "WORD": "i2", "FULL": "i4", "LONG": "i4"}
 REALS = {"REAL": "f4", "DOUB": "f8"}
-INTEGER_DEFAULT, REAL_DEFAULT = (
-    "LOW",
-    "VAX",
-)  # of labels from before there were other machines; the specification's
+# Of labels from before there were other machines; the specification's
+INTEGER_DEFAULT, REAL_DEFAULT = "LOW", "VAX"
 DIMENSIONS = {
     "BSQ": ("N1", "N2", "N3"),
     "BIL": ("N1", "N3", "N2"),

@@ -216,11 +216,8 @@ def _runs_of_keys(
 # ---- The whole index: stars in order of brightness, bands made when first asked for.
 
 MIN_TREE = 1 << 12
-COVER_STARS, COVER_SAMPLE, COVER_NEIGHBORS = (
-    1 << 16,
-    300,
-    20,
-)  # of which the density is taken, where stars are
+# Of which the density is taken, where stars are
+COVER_STARS, COVER_SAMPLE, COVER_NEIGHBORS = 1 << 16, 300, 20
 
 
 class SkyIndex:

@@ -35,10 +35,8 @@ SCATTERS_PX = (0.18, 0.35, 0.7, 1.4, 2.8)
 MOST_OF_BRIGHTNESS = 2.0  # log odds of a star by its magnitude: of stars that differ by four
 DEPTHS = 24  # of a picture that are tried: nearer to each other than magnitudes scatter
 MATCH_SIGMAS = 4.0
-FIRST_REACH_PX, FIRST_REACH_SHARE = (
-    4.0,
-    0.006,
-)  # of matches with a proposal from four stars; share of the picture
+# Of matches with a proposal from four stars; share of the picture
+FIRST_REACH_PX, FIRST_REACH_SHARE = 4.0, 0.006
 FOURTH_REACH_PX = 4.5  # of a fourth star from where three put it, 1.9 px off each, half their width outside
 MIN_DEPTH = np.float32(0.05)  # of a star along the boresight: beyond 87 deg nothing is in a picture
 CELLS_OF_REACH, MAX_CELLS = 3.0, 1000  # of the map of detections

@@ -354,9 +354,8 @@ def _with_common(
         raise PointingError(
             f"common_px has shape {common_px.shape}, expected ({len(given.reasons)}, 2, r): one row per star"
         )
-    believed = (
-        chi2_probability(fit.linear) >= BELIEVED
-    )  # the excess is then in the covariance alone, not in the weights
+    # The excess is then in the covariance alone, not in the weights
+    believed = chi2_probability(fit.linear) >= BELIEVED
     used = common_px[given.index][selection.used]
     return with_common_errors(fit, used, 0.0 if believed else selection.excess_sigma_px)
 
