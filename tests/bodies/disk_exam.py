@@ -1,8 +1,9 @@
 """Centers of disks held beside the truth: ``python tests/bodies/disk_exam.py --trials 200 --seed 1 --method auto --jobs 2``.
 
 Draws pictures over size, phase, contrast, law, figure, PSF and displacement (`draw`), finds the body in each by one method
-(`run_method`) and prints tables. ``--out FILE.json`` keeps a record a trial; ``--only INDEX`` repeats one of them by itself,
-with everything that the method said of it; ``--tables FILE.json`` prints the tables of a file again.
+(`run_method`) and prints tables. ``--out FILE.jsonl`` keeps a record a line as trials end, and goes on where it was left;
+``--only INDEX`` repeats one trial by itself, with everything that the method said of it; ``--tables FILE.jsonl`` prints the
+tables of a file again.
 """
 
 import argparse
@@ -132,13 +133,13 @@ def run_method(picture, name, method):
     return getattr(bodies, finder)(picture, name)
 
 
-def examine(index, seed, grid, method, find=run_method, bound=False):
+def examine(index, exam_seed, grid, method, find=run_method, bound=False):
     """Return the record of one trial: its setup, what was found, how far that is from the truth, and from the bound."""
-    setup = draw(seed, index, grid)
+    setup = draw(exam_seed, index, grid)
     start = time.process_time()
     trial = make_trial(setup)
     drawn = time.process_time()
-    record = {"index": index, "grid": grid, "method": method, **asdict(setup)}
+    record = {"index": index, "exam_seed": exam_seed, "grid": grid, "method": method, **asdict(setup)}
     record |= {
         "truth_px": trial.truth_px.tolist(),
         "limb_snr": trial.limb_snr,
@@ -173,11 +174,36 @@ def _said(center, truth_px):
 def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False):
     """Return the records of trials 0 to `trials` - 1, or of those listed."""
     numbers = range(trials) if isinstance(trials, int) else trials
-    one = partial(examine, seed=seed, grid=grid, method=method, find=find, bound=bound)
+    one = partial(examine, exam_seed=seed, grid=grid, method=method, find=find, bound=bound)
+    return list(_each(one, numbers, jobs))
+
+
+def _each(one, numbers, jobs):
+    """Give the records of trials as they end, in their order."""
     if jobs == 1:
-        return [one(index) for index in numbers]
+        yield from map(one, numbers)
+        return
     with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(one, numbers, chunksize=4))
+        yield from pool.map(one, numbers, chunksize=4)
+
+
+def run_into(path, numbers, one, jobs):
+    """Return the records of trials, each kept in a file of lines as soon as it is there; those it has are not run again."""
+    exam = {key: one.keywords[key] for key in ("exam_seed", "grid", "method")}
+    kept = read_records(path) if path.exists() else []
+    if any(record[key] != value for record in kept for key, value in exam.items()):
+        raise SystemExit(f"{path} holds another exam: name another file")
+    have = {record["index"] for record in kept}
+    with path.open("a", encoding="utf-8") as file:
+        for record in _each(one, [number for number in numbers if number not in have], jobs):
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            kept.append(record)
+    return sorted(kept, key=lambda record: record["index"])
+
+
+def read_records(path):
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 # ---- What comes of it.
@@ -324,11 +350,11 @@ def main():
     parser.add_argument("--tables", type=Path)
     a = parser.parse_args()
     if a.tables:
-        report(json.loads(a.tables.read_text(encoding="utf-8")))
+        report(read_records(a.tables))
         return
-    records = run(a.only or a.trials, a.seed, a.method, a.grid, a.jobs, bound=a.bound)
-    if a.out:
-        a.out.write_text(json.dumps(records, indent=1), encoding="utf-8")
+    one = partial(examine, exam_seed=a.seed, grid=a.grid, method=a.method, bound=a.bound)
+    numbers = a.only or range(a.trials)
+    records = run_into(a.out, numbers, one, a.jobs) if a.out else list(_each(one, numbers, a.jobs))
     if a.only:
         _print(*(json.dumps(r, indent=1) for r in records))
     else:
