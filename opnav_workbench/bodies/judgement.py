@@ -45,6 +45,7 @@ __all__ = [
 ]
 
 DIFFERENCE_SHARE = 0.5
+COORDINATES = 2  # of a center: chi-squared that their difference is expected to have
 MISFIT_SIGMAS = 3.0  # of the size, beyond what its model says of itself
 POOR_CHI2 = 2.0
 WEAK_PX, WEAK_SHARE = 1.0, 0.02  # of the radius: a center that is known no better
@@ -106,7 +107,8 @@ def crossing_reading(
 ) -> SecondReading | None:
     """Return what the crossings of the limb say of a center; None where too few rays cross it.
 
-    A fit that has wandered off what it began from sees no limb any more; then the crossings that made its place count.
+    A fit that has wandered off what it began from sees no limb any more; then the crossings that made its place count,
+    though they confirm nothing.
     """
     fit, read, start = disk.fit, disk.crossing, disk.place
     if read is not None:
@@ -120,9 +122,17 @@ def crossing_reading(
     return second_reading(name, place, covariance, first_px, first_covariance_px2)
 
 
-def difference_covariance(away_px: FloatArray) -> FloatArray:
-    """Return what the difference (2,) of two readings of the same pixels adds to the covariance of either, px^2."""
-    return np.asarray(DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
+def difference_covariance(away_px: FloatArray, sigmas: float = np.inf) -> FloatArray:
+    """Return what the difference (2,) of two readings of the same pixels adds to the covariance of either, px^2.
+
+    Parameters
+    ----------
+    sigmas
+        How far they differ by what both say of themselves: what is expected of two coordinates adds nothing that is not
+        in either covariance already. Infinite where these hold less than what may be wrong.
+    """
+    share = 1.0 - COORDINATES / (COORDINATES + sigmas**2)
+    return np.asarray(share * DIFFERENCE_SHARE**2 * np.outer(away_px, away_px))
 
 
 def confirmed_center(center: BodyCenter, disk: BodyCenter) -> BodyCenter:
@@ -240,8 +250,8 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
         BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2,
         BodyFlag.AT_LIMIT: left_search(away, disk.radius_px, disk.circle, disk.search_px),
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
-        BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(reading)),
-        BodyFlag.UNCONFIRMED: not _confirmed(reading),
+        BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(disk, reading)),
+        BodyFlag.UNCONFIRMED: not _confirmed(disk, reading),
         BodyFlag.ROUGH_LIMB: disk.is_rough,
     }
     standing = standing_flags(picture, disk.name, extent, disk.radius_px, reading.covariance_px2)
@@ -307,9 +317,10 @@ def lost_pixels(
     return dict(zip(flags, (int(np.count_nonzero(n)) for n in (saturated, others, bad, hit)), strict=True))
 
 
-def _confirmed(reading: CenterReading) -> bool:
+def _confirmed(disk: MeasuredDisk, reading: CenterReading) -> bool:
+    """Tell whether another reading has the same center; crossings of where a fit began are none, it was held there."""
     second = reading.second
-    if second is None:
+    if second is None or disk.crossing is None:
         return False
     return same_center(second.pixel_line - reading.center_px, second.difference_sigmas)
 
@@ -317,7 +328,7 @@ def _confirmed(reading: CenterReading) -> bool:
 def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
     second = reading.second
     apart = "no second reading: too little of its limb can be crossed"
-    if second is not None:
+    if second is not None and disk.crossing is not None:
         apart = _apart(second, reading.center_px)
     return {
         BodyFlag.CIRCLE_MISFIT: size_words(reading.log_size),

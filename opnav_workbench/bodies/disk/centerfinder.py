@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.columns import Unknown
 from opnav_workbench.bodies.disk.fitted import DiskFit
 from opnav_workbench.bodies.disk.measurement import MeasuredDisk, alike, measure_disk
@@ -87,7 +86,7 @@ def judged_disk(disk: MeasuredDisk, *, solve_range: bool = True) -> BodyCenter:
         if alike(disk.fit, disk.crossing) and not patterned:
             reading = _of_both(reading, second)
         elif patterned or _better_supported(reading, second):
-            reading = _with_difference(reading, second.pixel_line - reading.center_px)
+            reading = _with_difference(reading, second)
         else:
             reading = _crossings_instead(reading, second)
     return judged_center(disk, reading, _detail(disk.fit), solve_range=solve_range)
@@ -112,17 +111,20 @@ def _of_both(reading: CenterReading, second: SecondReading) -> CenterReading:
     own, other = reading.covariance_px2, CROSSING_EXCESS * second.covariance_px2
     share = own @ np.linalg.inv(own + other)  # of the second
     away = second.pixel_line - reading.center_px
-    both = replace(reading, center_px=reading.center_px + share @ away, covariance_px2=own - share @ own)
-    return _with_difference(both, away)
+    apart = _with_difference(reading, second)
+    return replace(
+        apart, center_px=reading.center_px + share @ away, covariance_px2=apart.covariance_px2 - share @ own
+    )
 
 
-def _with_difference(reading: CenterReading, away_px: FloatArray) -> CenterReading:
-    """Return a center with the difference (2,) of two readings of the same pixels in its covariance.
+def _with_difference(reading: CenterReading, second: SecondReading) -> CenterReading:
+    """Return a center with the difference of two readings of the same pixels in its covariance.
 
     What a likelihood knows rests on its model; half of the difference from a reading without one stands for where no model
-    is right.
+    is right, as far as it is more than both expect.
     """
-    return replace(reading, covariance_px2=reading.covariance_px2 + difference_covariance(away_px))
+    more = difference_covariance(second.pixel_line - reading.center_px, second.difference_sigmas)
+    return replace(reading, covariance_px2=reading.covariance_px2 + more)
 
 
 def _crossings_instead(reading: CenterReading, second: SecondReading) -> CenterReading:
