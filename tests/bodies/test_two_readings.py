@@ -40,10 +40,24 @@ def test_readings_that_agree_are_weighed_by_what_they_know(disk):
     assert shares[0] < 1e-4
 
 
-def test_half_of_a_difference_is_in_the_covariance(disk):
-    along = np.array([1.0, 0.0])
-    near, far = (judged_disk(moved(disk, step * along)).covariance_px2[0, 0] for step in (0.0, 0.25))
-    assert far - near == pytest.approx((0.5 * 0.25) ** 2, rel=1e-6)
+@pytest.mark.parametrize(("sigmas", "share"), [(0.2, 0.0196), (2.0**0.5, 0.5), (3.4, 0.8525)])
+def test_half_of_a_difference_beyond_what_is_expected_is_in_the_covariance(disk, sigmas, share):
+    """Chi-squared of two coordinates is two: what both readings say of themselves is in their covariances."""
+    own = judged_disk(moved(disk, [1e-9, 0.0]))
+    step_px = sigmas * 1e-9 / own.second.difference_sigmas
+    far = judged_disk(moved(disk, [step_px, 0.0]))
+    assert far.second.difference_sigmas == pytest.approx(sigmas, rel=1e-3)
+    more = far.covariance_px2[0, 0] - own.covariance_px2[0, 0]
+    assert more == pytest.approx(share * (0.5 * step_px) ** 2, rel=0.01)
+
+
+def test_a_place_whose_limb_is_hardly_seen_confirms_nothing(disk):
+    """677 px, all but its last corner beside the frame: 25 px off, and the crossings that it began from agreed."""
+    center = judged_disk(replace(disk, crossing=None))
+    assert center.second is not None
+    assert center.second.difference_sigmas < 3.5
+    assert center.status == "uncertain"
+    assert "too little of its limb" in " ".join(center.messages)
 
 
 def test_a_likelihood_that_explains_the_picture_is_not_left_for_the_crossings(disk):

@@ -558,8 +558,9 @@ def _spread_along_rays(
     gridded = step**2 * (CELL_VARIANCE + SPLINE_VARIANCE + LINEAR_VARIANCE)
     blurred = _blurred(TURN * fft.rfftfreq(good, step), blur_px2 - gridded)
     spread = (fft.rfft(spreads[:, ::-1], good) * blurred).astype(np.complex64)
-    spectrum = fft.rfft(sources, good) * spread
-    return np.asarray(fft.irfft(spectrum, good)[..., 2 * half : n])
+    spectrum = fft.rfft(sources, good)
+    spectrum *= spread
+    return np.asarray(fft.irfft(spectrum, good, overwrite_x=True)[..., 2 * half : n])
 
 
 def _blurred(wave_per_px: FloatArray, blur_px2: float) -> FloatArray:
