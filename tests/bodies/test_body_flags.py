@@ -220,6 +220,7 @@ def test_smaller_bodies_are_found_by_the_shift_of_the_largest(body_stage, apart_
     np.testing.assert_allclose(charon.pixel_line, beside, rtol=0, atol=0.02)
 
 
+@pytest.mark.slow
 def test_renderings_and_pixels_of_a_joint_fit_grow_as_its_bodies_do(body_stage, monkeypatch):
     counts = []
     draw = focal_plane.draw_body_light

@@ -212,6 +212,7 @@ def test_a_poor_circle_only_tells_where_to_look(stood, radius):
     np.testing.assert_allclose(found.pixel_line, true, rtol=0, atol=0.06)
 
 
+@pytest.mark.slow(keep=["1.3-False"])
 @pytest.mark.parametrize(("share", "told"), [(0.7, True), (1.3, False)])
 def test_body_of_another_size_than_expected(stood, share, told):
     """Sizes are uncertain by 10 %: 2.6 sigma of that are no misfit, 3.6 are."""

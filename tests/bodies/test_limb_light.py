@@ -172,6 +172,7 @@ def test_light_is_tabulated_at_the_law_that_the_picture_has():
     assert error @ np.linalg.solve(found.covariance_px2, error) < 14.0
 
 
+@pytest.mark.slow
 def test_pieces_of_limb_that_an_edge_cuts_weigh_less():
     """Patches as wide as the body, nine times darker: means of cells that an edge cuts draw the center along."""
     patchy, growth = [], []

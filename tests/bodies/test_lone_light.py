@@ -69,6 +69,7 @@ def test_the_light_of_another_body_that_is_expected_there_is_not_taken_for_it():
     assert find_disk(picture, trial.name).status == "not_detected"
 
 
+@pytest.mark.slow
 def test_a_light_no_brighter_than_the_faintest_star_of_the_catalog_may_be_any_star():
     trial = make_trial(DISK)
     faintest = replace(trial.picture, stars_known_dn=float(trial.light_dn.sum()))

@@ -11,6 +11,7 @@ from opnav_workbench.bodies.disk.columns import CENTER
 from opnav_workbench.bodies.disk.measurement import measure_disk
 
 
+@pytest.mark.slow
 def test_what_a_fit_would_still_move_is_in_its_sigma(monkeypatch):
     """It is stopped after a step with each light, from a place two pixels off; root mean square of five surfaces."""
     fits = []

@@ -43,7 +43,7 @@ def chi2(center, truth):
     return error @ np.linalg.solve(center.covariance_px2, error)
 
 
-@pytest.mark.slow(keep=["apart_px0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("apart_px", [(70.0, -40.0), (-90.0, 15.0)])
 def test_a_moon_displaced_otherwise_than_its_planet_is_found(body_stage, apart_px):
     """A satellite's ephemeris is off, too: by more than it is wide, beside what the planet is off by."""
@@ -84,7 +84,7 @@ def test_spilled_charge_does_not_make_a_moon_its_planet(body_stage, width_px, of
     assert chi2(second, MOON) < 14.0
 
 
-@pytest.mark.slow(keep=["0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_stars_and_hits_are_no_body(body_stage, seed):
     """A body that is not in the picture is not made of what else is."""
@@ -166,7 +166,7 @@ def test_a_disk_fainter_than_the_noise_of_a_pixel_is_found(body_stage, seed):
     assert np.sqrt(np.trace(center.covariance_px2)) < 1.0
 
 
-@pytest.mark.slow(keep=["80.0-saturated"])
+@pytest.mark.slow
 @pytest.mark.parametrize("marked", [True, False], ids=["saturated", "saturated and bad"])
 @pytest.mark.parametrize("width_px", [16.0, 80.0])
 def test_columns_that_charge_fills_are_no_body(body_stage, width_px, marked):
