@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies.disk import fit as disk_fit
