@@ -73,7 +73,7 @@ def address(request, demo_truths, tmp_path):
         yield request.param, f"http://127.0.0.1:{port}{path.format(name='bench.ipynb')}?token={token}"
     finally:
         host.send_signal(signal.SIGTERM)
-        host.wait(timeout=20)
+        host.wait(timeout=120)
         log.close()
 
 

@@ -514,7 +514,7 @@ def lab_queue(tmp_path):
     for program in running:
         try:
             program.send_signal(signal.SIGINT)
-            program.communicate(timeout=20)
+            program.communicate(timeout=120)
         finally:
             program.kill()
             program.wait()

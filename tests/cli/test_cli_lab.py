@@ -153,7 +153,7 @@ def test_ctrl_c_stops_everything(tmp_path):
         ) as answer:
             assert answer.status == 200
         program.send_signal(signal.SIGINT)
-        rest, _ = program.communicate(timeout=20)
+        rest, _ = program.communicate(timeout=120)
     finally:
         program.kill()
         program.wait()

@@ -23,7 +23,6 @@ STRAY_PX = (1.6, 6.5)  # scales of wings and halo
 REACH = 5.0  # scales, beyond which a plane may begin anew
 # Pixels of the plane: so many along the largest radius, and how wide they may be.
 ALONG_RADIUS, APART_PX = 150.0, (1.0, 2.0)
-LOOKED_UP_PX = 0.5  # a plane of wider pixels shows no more of what lies between
 LIMB_WIDTHS = 2.0  # of the PSF, over which light of the model gives way to that of the solution
 
 
@@ -78,10 +77,7 @@ def _spread(
     size = fft.next_fast_len(len(at) + int(REACH * max(STRAY_PX) / apart), real=True)
     wave = TURN * np.hypot(fft.fftfreq(size, apart)[:, None], fft.rfftfreq(size, apart))
     spreads = [((1.0 + (wave * scale) ** 2) ** -1.5).astype(np.float32) for scale in STRAY_PX]
-    steps = max(int((depth_px[-1] - depth_px[0]) / LOOKED_UP_PX), 1)
-    depth, each = np.linspace(depth_px[0], depth_px[-1], steps + 1, retstep=True)
-    between = np.clip(1.0 - np.abs(depth[:, None] - depth_px) / each, 0.0, None).astype(np.float32)
-    away = np.maximum(limb_px[:, None] + depth, 0.0) / apart
+    away = np.maximum(limb_px[:, None] + depth_px, 0.0) / apart
     places = [half + away * np.sin(angle_rad)[:, None], half + away * np.cos(angle_rad)[:, None]]
     out: list[NDArray[np.floating]] = []
     for light in lights:
@@ -90,6 +86,5 @@ def _spread(
         plane[line, pixel] = np.where(column > n - 1.0, 0.0, found)
         spectrum = fft.rfft2(plane, (size, size))
         planes = (fft.irfft2(spectrum * spread, (size, size)) for spread in spreads)
-        looked_up = [ndimage.map_coordinates(plane, places, order=1) for plane in planes]
-        out.append(np.stack(looked_up) @ between)
+        out.append(np.stack([ndimage.map_coordinates(each, places, order=1) for each in planes]))
     return out
