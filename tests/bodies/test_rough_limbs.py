@@ -102,7 +102,9 @@ def test_cells_are_as_uneven_as_the_ground_is_steep():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [find_ellipse, find_limb_scan], ids=["ellipse", "limb_scan"])
-@pytest.mark.parametrize(("case", "seed", "phase"), [("80 px", 1, 15.0), ("200 px", 3, 80.0)])
+@pytest.mark.parametrize(
+    ("case", "seed", "phase"), [("80 px", 1, 15.0), ("80 px", 3, 80.0), ("200 px", 3, 80.0)]
+)
 def test_the_papers_methods_know_as_well(case, seed, phase, method):
     """Of 200 px, before: "0 usable scans": a relief of more than a pixel counted as an edge that is too faint."""
     trial = make_trial(replace(ROUGH[case], seed=seed, phase_deg=phase))
