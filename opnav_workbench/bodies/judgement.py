@@ -317,18 +317,22 @@ def lost_pixels(
     return dict(zip(flags, (int(np.count_nonzero(n)) for n in (saturated, others, bad, hit)), strict=True))
 
 
+def _confirming(disk: MeasuredDisk, reading: CenterReading) -> SecondReading | None:
+    """Return the reading that may confirm a center: none without crossings, for those of its place have held a fit there."""
+    return None if disk.crossing is None else reading.second
+
+
 def _confirmed(disk: MeasuredDisk, reading: CenterReading) -> bool:
-    """Tell whether another reading has the same center; crossings of where a fit began are none, it was held there."""
-    second = reading.second
-    if second is None or disk.crossing is None:
+    second = _confirming(disk, reading)
+    if second is None:
         return False
     return same_center(second.pixel_line - reading.center_px, second.difference_sigmas)
 
 
 def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:
-    second = reading.second
+    second = _confirming(disk, reading)
     apart = "no second reading: too little of its limb can be crossed"
-    if second is not None and disk.crossing is not None:
+    if second is not None:
         apart = _apart(second, reading.center_px)
     return {
         BodyFlag.CIRCLE_MISFIT: size_words(reading.log_size),

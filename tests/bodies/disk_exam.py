@@ -171,11 +171,25 @@ def _said(center, truth_px):
     return said
 
 
-def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False):
-    """Return the records of trials 0 to `trials` - 1, or of those listed."""
+def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False, kept=None):
+    """Return the records of trials 0 to `trials` - 1, or of those listed.
+
+    In `kept`, a file of lines, each is as soon as it is there, and those that are there already are not run again.
+    """
     numbers = range(trials) if isinstance(trials, int) else trials
     one = partial(examine, exam_seed=seed, grid=grid, method=method, find=find, bound=bound)
-    return list(_each(one, numbers, jobs))
+    if kept is None:
+        return list(_each(one, numbers, jobs))
+    records = {record["index"]: record for record in read_records(kept)} if kept.exists() else {}
+    exam = {"exam_seed": seed, "grid": grid, "method": method}
+    if any(record[key] != value for record in records.values() for key, value in exam.items()):
+        raise SystemExit(f"{kept} holds another exam: name another file")
+    with kept.open("a", encoding="utf-8") as file:
+        for record in _each(one, [number for number in numbers if number not in records], jobs):
+            file.write(json.dumps(record) + "\n")
+            file.flush()
+            records[record["index"]] = record
+    return [records[number] for number in numbers]
 
 
 def _each(one, numbers, jobs):
@@ -185,21 +199,6 @@ def _each(one, numbers, jobs):
         return
     with ProcessPoolExecutor(jobs) as pool:
         yield from pool.map(one, numbers, chunksize=4)
-
-
-def run_into(path, numbers, one, jobs):
-    """Return the records of trials, each kept in a file of lines as soon as it is there; those it has are not run again."""
-    exam = {key: one.keywords[key] for key in ("exam_seed", "grid", "method")}
-    kept = read_records(path) if path.exists() else []
-    if any(record[key] != value for record in kept for key, value in exam.items()):
-        raise SystemExit(f"{path} holds another exam: name another file")
-    have = {record["index"] for record in kept}
-    with path.open("a", encoding="utf-8") as file:
-        for record in _each(one, [number for number in numbers if number not in have], jobs):
-            file.write(json.dumps(record) + "\n")
-            file.flush()
-            kept.append(record)
-    return sorted(kept, key=lambda record: record["index"])
 
 
 def read_records(path):
@@ -352,9 +351,7 @@ def main():
     if a.tables:
         report(read_records(a.tables))
         return
-    one = partial(examine, exam_seed=a.seed, grid=a.grid, method=a.method, bound=a.bound)
-    numbers = a.only or range(a.trials)
-    records = run_into(a.out, numbers, one, a.jobs) if a.out else list(_each(one, numbers, a.jobs))
+    records = run(a.only or a.trials, a.seed, a.method, a.grid, a.jobs, bound=a.bound, kept=a.out)
     if a.only:
         _print(*(json.dumps(r, indent=1) for r in records))
     else:
