@@ -17,6 +17,8 @@ which suits a body.
     Where a body stands, before anything is fitted: its silhouette against the sky, and what else may be there.
 ``crossings``
     Where rays cross a limb, at half of the local brightness.
+``flanks``
+    Where a saturated limb lies, by the light that falls off beside it.
 ``spilled``
     Charge that saturated pixels have spilled, told from a body.
 ``lighting``

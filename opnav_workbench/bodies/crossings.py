@@ -5,7 +5,8 @@ Frame  (pixel, line); distances along rays positive outward
 Units  px, DN
 
 Of the limb such a reading asks only where it is. What half of the brightness means for a limb that is darkened and blurred
-is asked of the model, whose limb is crossed in the same way.
+is asked of the model, whose limb is crossed in the same way. Where the picture is saturated the light beside the limb says
+where it is: `opnav_workbench.bodies.flanks`.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
+from opnav_workbench.bodies.flanks import hidden_limbs, limb_flanks
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model
 from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline
@@ -51,7 +53,9 @@ NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts ha
 LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
 HALF_PX = 0.15  # nor where pattern or law are steep at the limb: what lies farther from an outline is of another figure
 RELIEF_RAD = 0.2  # of topography along a limb
-SATURATED_PX = 2.0  # how far saturation may move a crossing
+PATCH_PX = 0.5  # how far a saturated patch behind it may move a crossing
+# Of the width of an edge: by what law and PSF, which no flank tells, move all saturated limbs of a body alike (rms of 39).
+FLANK_WIDTHS = 0.45
 MOST_CHANGED_PX = 2.0  # by a law: beyond, another edge was crossed
 
 
@@ -68,6 +72,8 @@ class LimbCrossings:
         Rays that the picture shows and on which the model is lit up to its limb; those that have a crossing.
     changes : (n, k) array
         Of what was expected, by a sigma of each thing that is uncertain of the light.
+    sigma_px : (n,) array
+        Of each by itself, beyond what crossings scatter by.
     noise_px
         What noise moves one of them by.
     """
@@ -77,6 +83,7 @@ class LimbCrossings:
     expected: BoolArray
     known: BoolArray
     changes: FloatArray
+    sigma_px: FloatArray
     noise_px: float
 
     def __post_init__(self) -> None:
@@ -117,9 +124,7 @@ def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, 
 Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
 
 
-def cross_limb(
-    picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles, *, cut_off: bool = False
-) -> LimbCrossings:
+def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles: Profiles) -> LimbCrossings:
     """Cross the limb along rays, as far as `reach_px` from the outline, and compare with the model's crossings.
 
     Parameters
@@ -127,8 +132,6 @@ def cross_limb(
     profiles
         Returns the model's light (1 + k, n, m) at angles (n,) and depths (m,) of an outline, any unit: as it is, and
         changed by a sigma of each of k things that are uncertain.
-    cut_off
-        Whether that light is cut off where the picture is saturated.
     """
     angle = np.asarray((np.arange(RAYS) + 0.5) * (TURN / RAYS))
     limb = outline.radius(angle)
@@ -138,30 +141,40 @@ def cross_limb(
     wheel = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     places = outline.center_px + (limb[:, None] + depth)[..., None] * wheel[:, None]
     data, valid = _sampled(picture, places)
-    model, *changed = profiles(outline, angle, depth)
+    data = np.where(valid, data, 0.0)
+    each = profiles(outline, angle, depth)
+    model = each[0]
     width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
     lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
     bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
     noise = float(np.median(picture.noise_dn))
     faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * noise)
-    observed = crossing_depths(np.where(valid, data, 0.0), depth, width, faint)
+    observed = crossing_depths(data, depth, width, faint)
     middle = float(np.median(model[lit])) if lit.any() else 1.0
-    expected = crossing_depths(model, depth, width, FAINT_SHARE * middle)
-    moved = [crossing_depths(light, depth, width, FAINT_SHARE * middle) - expected for light in changed]
+    crossed = np.stack([crossing_depths(light, depth, width, FAINT_SHARE * middle) for light in each])
+    sigma, alike = np.zeros(RAYS), np.zeros((0, RAYS))
+    if picture.saturated.any():
+        behind = np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width)
+        near = np.any((behind < 0.5 * LEVEL_TO * width) & _touches(picture.saturated, places), axis=1)
+        step = float(np.sqrt(_edge_variance(picture)))
+        hidden = near & hidden_limbs(data, depth, picture.saturation_dn, observed, step)
+        shot = 1.0 / picture.shot_gain_e_per_dn
+        flanks = limb_flanks(data[hidden], valid[hidden], depth, picture.saturation_dn, step, noise, shot)
+        sigma[near] = PATCH_PX
+        observed[hidden], sigma[hidden] = flanks.depth_px, flanks.sigma_px
+        alike = FLANK_WIDTHS * step * hidden[None]
+    expected = crossed[0]
     index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
     rows = np.arange(RAYS)
     whole = valid[rows, index] & valid[rows, index + 1] & valid[rows, index - 1]
     at_limb = np.isfinite(expected) & (np.abs(expected) < 2.0 * width)
     known = np.isfinite(observed) & at_limb & whole & (observed < depth[-8])
-    if picture.saturated.any() and not cut_off:  # half of a level that was cut off lies too far out
-        behind = (
-            np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width) < 0.5 * LEVEL_TO * width
-        )
-        moved.append(SATURATED_PX * np.any(behind & _touches(picture.saturated, places), axis=1))
-    changes = np.nan_to_num(np.reshape(moved, (len(moved), RAYS)).T)
+    changes = np.nan_to_num(np.concatenate([crossed[1:] - expected, alike])).T
     changes = np.clip(changes, -MOST_CHANGED_PX, MOST_CHANGED_PX)
     away = observed - np.where(at_limb, expected, 0.0)
-    return LimbCrossings(angle, away, at_limb & whole, known, changes, _noise_px(picture, noise, bright))
+    return LimbCrossings(
+        angle, away, at_limb & whole, known, changes, sigma, _noise_px(picture, noise, bright)
+    )
 
 
 def _noise_px(picture: BodyPicture, noise_dn: float, bright_dn: float) -> float:
@@ -296,6 +309,7 @@ def fit_crossings(
     moving = crossing_columns(crossings.angle_rad, outline)
     columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
     offset = crossings.depth_px[crossings.known]
+    own = crossings.sigma_px[crossings.known] ** 2
     uncertain = np.ones(crossings.changes.shape[1])
     precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
     scales, widest = _figure_scales(figure, len(precision))
@@ -307,7 +321,7 @@ def fit_crossings(
         return np.asarray((1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0)
 
     def solved(solution: FloatArray, near: float, variance: float, scales: FloatArray) -> FloatArray:
-        weight = weights(solution, near) / variance
+        weight = weights(solution, near) / (variance + own)
         normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
         there = expected + mixed_solution(normal, columns.T @ (weight * beyond), scales).theta
         residual[crossings.known] = offset - columns @ there
@@ -325,15 +339,16 @@ def fit_crossings(
     solution = solved(solution, near, variance, scales)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
     kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
-    normal = columns.T @ columns / variance + np.diag(precision)
+    weight = 1.0 / (variance + own)
+    normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
     mixed, alone = (
-        mixed_solution(normal, columns.T @ kept / variance, each).covariance for each in (scales, widest)
+        mixed_solution(normal, columns.T @ (weight * kept), each).covariance for each in (scales, widest)
     )
     size_sigma = float(np.sqrt(alone[2, 2]))
-    beyond_px2 = max(alike * spread**2 - HALF_PX**2 - crossings.noise_px**2, 0.0)
+    beyond_px2 = max(alike * spread**2 - HALF_PX**2 - crossings.noise_px**2 - float(np.median(own)), 0.0)
     relief = float(np.sqrt(beyond_px2)), mixed[:2, :2] * (common * beyond_px2 / variance)
-    own = solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5]
-    return CrossingFit(*own, residual, *relief, free, size_sigma)
+    center = solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5]
+    return CrossingFit(*center, residual, *relief, free, size_sigma)
 
 
 def _figure_scales(figure: FigureUncertainty, unknowns: int) -> tuple[FloatArray, FloatArray]:

@@ -95,6 +95,9 @@ def stated_psf_sigma(camera: Camera) -> float:
     return max(camera.psf.relative_sigma, MEASURED_PSF_SIGMA)
 
 
+LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyPicture:
     """A picture, and what is expected in it.
@@ -231,6 +234,12 @@ class BodyPicture:
         """Return the picture without what pixels (n_line, n_pixel) show that charge has run into, or may have."""
         spilled = pixels if self.spilled is None else self.spilled | pixels
         return replace(self.without(pixels), spilled=spilled)
+
+    @property
+    def saturation_dn(self) -> float:
+        """The level at which the picture saturates; inf where it does not."""
+        known = self.signal_dn[self.saturated & np.isfinite(self.signal_dn)]
+        return float(np.quantile(known, LOWEST_CUT)) if len(known) else np.inf
 
     @property
     def overexposed(self) -> BoolArray:

@@ -12,8 +12,10 @@ of that is the body. So the search sees one bit a pixel.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import map_coordinates, maximum_filter
 from skimage.measure import block_reduce
@@ -332,19 +334,33 @@ class _SizedTemplate:
         about = maximum_filter(self.inside, footprint=_disk(pad)) > 0.5
         about |= _full_disk(self.inside, len(shape))
         self.good = [fft.next_fast_len(n + len(self.inside), real=True) for n in known.shape]
-        of_known = self.spectrum(known.astype(np.float64))
-        self.of_in, self.of_about = self.spectrum(self.inside), self.spectrum(about.astype(np.float64))
-        self.n = np.maximum(self.lagged(of_known, self.of_about), 1e-9)
-        self.n_in = self.lagged(of_known, self.of_in)
-        self.square_in = self.lagged(of_known, self.spectrum(self.inside**2))
+        of_known = self.spectrum(known)
+        self.of_in, self.of_about = self.spectrum(self.inside), self.spectrum(about)
+        n = np.maximum(self.lagged(of_known, self.of_about), 1e-3)
+        n_in, square_in = (self.lagged(of_known, of) for of in (self.of_in, self.spectrum(self.inside**2)))
+        whole, self.share = float(self.inside.sum()), n_in / n
+        self.per_bin = 1.0 / n
+        # A larger part in sight is better evidence than a small one.
+        seen = np.clip(n_in / max(whole, 1.0), 0.0, 1.0) ** 0.125
+        var_in = square_in - n_in * self.share
+        valid = (n_in > LEAST_VISIBLE * whole) & (var_in > 0.02 * whole)
+        self.weight = np.where(valid, seen / np.sqrt(np.where(valid, var_in, 1.0)), 0.0)
 
-    def spectrum(self, plane: FloatArray) -> FloatArray:
-        """Return the spectrum of a frame or a template, padded to hold every lag."""
-        return np.asarray(fft.rfft2(plane, self.good))
+    def spectrum(self, plane: NDArray[Any]) -> NDArray[np.complex64]:
+        """Return the spectrum of a frame or a template, padded to hold every lag; counts of bins need no more digits."""
+        return np.asarray(fft.rfft2(plane.astype(np.float32), self.good))
 
-    def lagged(self, plane: FloatArray, kernel: FloatArray) -> FloatArray:
+    def lagged(self, plane: NDArray[np.complex64], kernel: NDArray[np.complex64]) -> NDArray[np.float32]:
         """Return the correlation of two spectra at every lag."""
-        return np.asarray(fft.irfft2(plane * np.conj(kernel), self.good))
+        return np.asarray(fft.irfft2(plane * kernel.conj(), self.good))
+
+    def score(self, of_lit: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Return the correlation coefficient at every lag with a plane that tells what is lit; 0 where there is none."""
+        about, inside = (self.lagged(of_lit, kernel) for kernel in (self.of_about, self.of_in))
+        spread = about - about**2 * self.per_bin
+        return np.where(
+            spread > 0.5, (inside - self.share * about) * self.weight / np.sqrt(np.maximum(spread, 0.5)), 0.0
+        )
 
 
 def _score(place: BodyPlace) -> float:
@@ -353,34 +369,37 @@ def _score(place: BodyPlace) -> float:
 
 def _correlated(lit: BoolArray, sized: Sequence[_SizedTemplate], search: _FrameSearch) -> BodyPlace | None:
     """Return where the best of the silhouettes is in a plane that tells what is lit."""
-    of_lit = sized[0].spectrum(lit.astype(np.float64))
+    of_lit = sized[0].spectrum(lit)
     found = (_correlated_one(of_lit, one, search) for one in sized)
     return max((place for place in found if place is not None), key=_score, default=None)
 
 
-def _correlated_one(of_lit: FloatArray, template: _SizedTemplate, search: _FrameSearch) -> BodyPlace | None:
-    inside, good, n, n_in = template.inside, template.good, template.n, template.n_in
-    lit_about, lit_in = (template.lagged(of_lit, kernel) for kernel in (template.of_about, template.of_in))
-    cov = lit_in - n_in * lit_about / n
-    var_in, var_lit = template.square_in - n_in**2 / n, lit_about - lit_about**2 / n
-    valid = (n_in > LEAST_VISIBLE * inside.sum()) & (var_in > 0.02 * inside.sum()) & (var_lit > 0.5)
-    score = np.where(valid, cov / np.sqrt(np.maximum(var_in * var_lit, 1e-9)), -1.0)
-    # A larger part in sight is better evidence than a small one.
-    seen = np.sqrt(np.clip(n_in / max(float(inside.sum()), 1.0), 0.0, 1.0))
-    score = score * seen**0.25
-    middle, bins = len(inside) // 2, search.bins
-    line, pixel = (_lag_index(k, len(inside)) + middle for k in good)
+def _correlated_one(
+    of_lit: NDArray[np.complex64], template: _SizedTemplate, search: _FrameSearch
+) -> BodyPlace | None:
+    score, middle, bins = template.score(of_lit), len(template.inside) // 2, search.bins
+    line, pixel = (_lag_index(k, len(template.inside)) + middle for k in template.good)
     y, x = (line + 0.5) * bins - 0.5, (pixel + 0.5) * bins - 0.5
-    away = np.hypot(x - search.expected_px[0], y[:, None] - search.expected_px[1])
     if search.limit_px is not None:
-        score = np.where(away <= search.limit_px + bins, score, -1.0)
+        away = np.hypot(x - search.expected_px[0], y[:, None] - search.expected_px[1])
+        score = np.where(away <= search.limit_px + bins, score, 0.0)
     peak = float(score.max())
     if peak <= 0.0:
         return None
-    close = np.where(away <= search.near_px + bins, score, -1.0)
-    if close.max() >= max(NEAR_SCORE, NEAR_SHARE * peak):
-        score = close
-    i, j = np.unravel_index(int(score.argmax()), score.shape)
+    reach = search.near_px + bins
+    lines, pixels = (
+        np.flatnonzero(np.abs(at - here) <= reach)
+        for at, here in zip((y, x), search.expected_px[::-1], strict=True)
+    )
+    near = score[np.ix_(lines, pixels)]
+    near = near * (
+        np.hypot(x[pixels] - search.expected_px[0], y[lines, None] - search.expected_px[1]) <= reach
+    )
+    if near.max(initial=0.0) >= max(NEAR_SCORE, NEAR_SHARE * peak):
+        k, m = np.unravel_index(int(near.argmax()), near.shape)
+        i, j = lines[k], pixels[m]
+    else:
+        i, j = np.unravel_index(int(score.argmax()), score.shape)
     return BodyPlace(np.array([x[j], y[i]]), template.size, float(score[i, j]))
 
 

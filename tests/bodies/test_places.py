@@ -47,7 +47,7 @@ def test_relief_does_not_change_a_figure(body_stage, arc, errors_px):
     roots, rng, errors = np.linalg.cholesky(alike + 1e-9 * np.eye(len(angle))), np.random.default_rng(3), []
     for _ in range(30):
         depth, none = 1.2 * roots @ rng.normal(size=len(angle)), np.empty((len(angle), 0))
-        crossings = LimbCrossings(angle, depth, known, known, none, 0.0)
+        crossings = LimbCrossings(angle, depth, known, known, none, np.zeros(len(angle)), 0.0)
         fit = fit_crossings(crossings, outline, FigureUncertainty(), 1.2, np.zeros(3), 10.0)
         errors.append(
             np.append(fit.step_px, fit.step_px @ np.linalg.solve(fit.covariance[:2, :2], fit.step_px))

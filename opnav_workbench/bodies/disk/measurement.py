@@ -366,11 +366,9 @@ UNSURE = (
     "strain_xz",
     "strain_yz",
 )  # of the light: near a cusp it moves a crossing
-BRIGHTER = 1.3  # than the fit says may a saturated limb be: what that moves is uncertain
 # Of the rays that should cross the limb; where fewer do, it is not where it is expected, and looked for so much of the
 # radius farther.
 MOSTLY_CROSSED, FAR_SHARE = 0.7, 0.1
-LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
 def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
@@ -380,12 +378,12 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     half of the brightness lies. A fit that stands elsewhere leaves crossings that its albedo does not explain: there is no
     limb where it has one, or light beyond it.
     """
-    outline, profiles = fit.smooth_outline, _limb_profiles(picture, fit)
+    outline, profiles = fit.smooth_outline, _limb_profiles(fit)
     reach = 3.0 + 3.0 * float(np.max(picture.psf.sigma_px))
-    crossings = cross_limb(picture, outline, reach, profiles, cut_off=True)
+    crossings = cross_limb(picture, outline, reach, profiles)
     if np.count_nonzero(crossings.known) < MOSTLY_CROSSED * np.count_nonzero(crossings.expected):
         reach += FAR_SHARE * 0.5 * outline.diameter_px
-        crossings = cross_limb(picture, outline, reach, profiles, cut_off=True)
+        crossings = cross_limb(picture, outline, reach, profiles)
     if np.count_nonzero(crossings.known) < FEWEST_CROSSINGS:
         return None
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
@@ -395,7 +393,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     if read.relief_px == 0.0 and agree:
         return read
     patterned = replace(picture, signal_dn=_patterned_dn(picture, fit))
-    beyond = crossings.beyond(cross_limb(patterned, outline, reach, profiles, cut_off=True))
+    beyond = crossings.beyond(cross_limb(patterned, outline, reach, profiles))
     if np.count_nonzero(beyond.known) < FEWEST_CROSSINGS:
         return read
     left = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
@@ -410,14 +408,10 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     return replace(believed, relief_px=relief.relief_px, relief_px2=relief_px2)
 
 
-def _limb_profiles(picture: BodyPicture, fit: DiskFit) -> Profiles:
-    """Return the fitted light along rays, and with more or less of what is `UNSURE` of it.
-
-    Where the picture is saturated that is cut off as the picture is: both cross half of the same level.
-    """
+def _limb_profiles(fit: DiskFit) -> Profiles:
+    """Return the fitted light along rays, and with more or less of what is `UNSURE` of it."""
     planes = [PLANES.index(name) for name in UNSURE]
     beyond, modes = _unsure_of(fit)
-    level = _saturation_dn(picture)
 
     def profiles(_: Outline, angle: FloatArray, depth: FloatArray) -> FloatArray:
         places = np.broadcast_arrays(angle[:, None], depth)
@@ -425,8 +419,6 @@ def _limb_profiles(picture: BodyPicture, fit: DiskFit) -> Profiles:
         light = tables[0] + beyond @ tables[planes]
         light += INTERPOLATED_VARIANCE * tables[planes[0]]  # as the data are, between pixels
         each = [light, *(light + modes @ tables[planes])]
-        if np.isfinite(level):
-            each = [np.minimum(one, level / fit.brightness_dn) for one in (*each, BRIGHTER * light)]
         return np.asarray(np.stack(each).reshape(len(each), *places[0].shape))
 
     return profiles
@@ -440,7 +432,7 @@ def _patterned_dn(picture: BodyPicture, fit: DiskFit) -> FloatArray:
     here = fit.pixels.index
     smooth = np.array(picture.signal_dn)
     model = _seen_about(fit, here, fit.smooth_outline).model_dn()
-    smooth[here] = np.minimum(model, _saturation_dn(picture))
+    smooth[here] = np.minimum(model, picture.saturation_dn)
     return smooth
 
 
@@ -460,12 +452,6 @@ def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
     own = [Unknown[name.upper()] for name in UNSURE]
     variance, modes = np.linalg.eigh(fit.solution.covariance[np.ix_(own, own)])
     return (fit.solution.theta - fit.made.tabulated)[own], (modes * np.sqrt(np.maximum(variance, 0.0))).T
-
-
-def _saturation_dn(picture: BodyPicture) -> float:
-    """Return the level at which the picture saturates; inf where it does not."""
-    known = picture.saturated & np.isfinite(picture.signal_dn)
-    return float(np.quantile(picture.signal_dn[known], LOWEST_CUT)) if known.any() else np.inf
 
 
 def crossing_covariance(scatter_px2: FloatArray) -> FloatArray:
