@@ -74,6 +74,7 @@ def imports_of_the_package():
     return found, house.import_graph(found)
 
 
+@pytest.mark.slow
 def test_no_circle_of_imports_not_even_inside_functions():
     assert house.circles(imports_of_the_package()[1]) == []
 

@@ -92,6 +92,7 @@ class Plain(yaml.SafeLoader):
     }
 
 
+@pytest.mark.slow
 def test_yaml_is_what_its_library_reads():
     paths = sorted(kernels_meta_dir().rglob("*.yaml"))
     assert len(paths) > 50

@@ -49,7 +49,7 @@ def test_bright_star_in_the_circle_is_no_body(body_stage, finder):
     assert "nothing of its size and phase" in found.messages[0]
 
 
-@pytest.mark.slow(keep=["0.7-find_least_squares"])
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", FINDERS)
 @pytest.mark.parametrize("factor", [0.7, 1.4])
 def test_wrong_radius(body_stage, finder, factor):
@@ -78,6 +78,7 @@ def test_known_surface_of_another_size(body_stage, size_sigma):
     assert within_sigmas(solved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", FINDERS)
 def test_a_size_that_was_stated_wrongly(body_stage, finder):
     """7 % larger than what is stated to 0.5 %: 2 px off by the stated size, which the limb's crossings contradict."""
@@ -90,6 +91,7 @@ def test_a_size_that_was_stated_wrongly(body_stage, finder):
     np.testing.assert_allclose(found.pixel_line, TRUE, rtol=0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_circle_of_another_size_leads_nowhere_else(body_stage):
     """A circle is where to begin from; the disk tells its size."""
     model = body_stage.body(60.0, 40.0, TRUE)
@@ -160,6 +162,7 @@ def test_nan_area(body_stage, finder):
     assert "no usable pixels" in found.messages[0]
 
 
+@pytest.mark.slow
 def test_thin_crescent(body_stage):
     model = body_stage.body(20.0, 160.0, TRUE)
     found = find_least_squares(body_stage.picture(body_stage.light(model), [model]), "BODY")
@@ -197,7 +200,7 @@ def test_joint_centers_and_their_correlation(body_stage, pair, add_noise):
     assert np.all(np.diag(known.covariance_px2) < np.diag(joint.covariance_px2))
 
 
-@pytest.mark.slow(keep=["2.0-1.0-0.1"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("apart_px", "range_share", "sigma_px"), [(2.0, 1.0, 0.1), (-8.0, 1.5, 0.2), (-14.0, 1.5, 0.8)]
 )

@@ -79,6 +79,7 @@ def test_sigma_holds_noise_and_size(binned_stage, add_noise, sample, diameter, p
     assert np.sqrt(np.mean(np.square(sizes))) < 1.0 + sample.within(0.5)
 
 
+@pytest.mark.slow
 def test_range_from_the_apparent_size(body_stage):
     """The body stands 2 % farther than expected, and 5 px beside."""
     true = np.array([600.4, 400.7])
@@ -94,7 +95,7 @@ def test_range_from_the_apparent_size(body_stage):
     assert find_ellipse(picture, "BODY", solve_range=False).range_km != found.range_km
 
 
-@pytest.mark.slow(keep=["assumed0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("assumed", [(1.0, 0.86, 0.8), (0.94, 0.8, 0.8)])
 def test_wrong_radii_are_told_from_the_free_ellipse(body_stage, assumed):
     """True radii of 1 : 0.8 : 0.8; the center is right all the same, as axes are as uncertain as on a first approach."""
@@ -231,6 +232,7 @@ def test_nothing_in_the_circle(stood):
     assert "stands out of the sky within 30 px" in found.messages[0]
 
 
+@pytest.mark.slow
 def test_all_saturated_and_core_saturated(stood):
     picture, _, true = stood
     bright = picture.signal_dn
@@ -272,6 +274,7 @@ def test_bodies_without_a_limb(body_stage):
         find_ellipse(body_stage.picture(EMPTY, [model]), "EROS")
 
 
+@pytest.mark.slow
 def test_the_same_picture_gives_the_same_bits(stood):
     one, two = (find_ellipse(stood[0], "BODY") for _ in range(2))
     assert np.array_equal(one.pixel_line, two.pixel_line)

@@ -69,6 +69,7 @@ def test_a_real_moon_tells_how_it_is_lit(data_dir):
         assert lit.unexplained < 0.02
 
 
+@pytest.mark.slow
 def test_earth_from_hayabusa2(data_dir):
     """A cloudy Earth of 52 px in a smeared wide-angle picture.
 

@@ -39,7 +39,7 @@ def test_a_noiseless_sphere_is_found_to_a_thousandth(body_stage, sphere):
     assert np.hypot(*center.detail.iterations[-1]) < 0.01
 
 
-@pytest.mark.slow(keep=["axes1-8.0-90.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("diameter", "phase"), [(5.0, 30.0), (8.0, 90.0), (20.0, 0.0), (40.0, 120.0)])
 @pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), TRIAXIAL])
 def test_errors_are_small_and_as_stated(body_stage, diameter, phase, axes):
@@ -243,6 +243,7 @@ def test_range_follows_from_the_size_of_the_image(body_stage, sphere):
     assert np.linalg.eigvalsh(free.covariance_px2)[1] > np.linalg.eigvalsh(plain.covariance_px2)[1]
 
 
+@pytest.mark.slow
 def test_bit_for_bit_the_same(body_stage, sphere):
     model, light = sphere
     picture = body_stage.picture(light, [model], np.random.default_rng(3))

@@ -61,6 +61,7 @@ def test_the_published_map_of_hubble(pluto, data_dir):
     _check(*_table(pluto, maps))
 
 
+@pytest.mark.slow
 def test_the_table_by_command_has_a_line_for_each_method():
     head, line = table(1, methods=("limb_scan",))
     assert "RA rms" in head

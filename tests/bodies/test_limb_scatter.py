@@ -75,6 +75,7 @@ def test_scores_are_those_of_dense_algebra(fit, cells):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=0.01 * np.abs(other).max())
 
 
+@pytest.mark.slow(keep=["6.0"])
 def test_a_surface_of_the_model_scatters_as_the_model_says(fit, cells):
     """The ratio is one, so what is told is the variance of a Student's distribution with the degrees that there are."""
     rng = np.random.default_rng(3)

@@ -25,7 +25,7 @@ def with_stars(trial, shares, known):
     return replace(picture, signal_dn=data, stars_px=known)
 
 
-@pytest.mark.slow(keep=["setup0"])
+@pytest.mark.slow
 @pytest.mark.parametrize("setup", [DISK, CRESCENT])
 def test_the_one_light_that_no_star_explains_is_the_body(setup):
     trial = make_trial(setup)
@@ -36,7 +36,7 @@ def test_the_one_light_that_no_star_explains_is_the_body(setup):
     assert np.hypot(*away) < 0.3
 
 
-@pytest.mark.slow(keep=["shares1-known1-setup1"])
+@pytest.mark.slow
 @pytest.mark.parametrize("setup", [DISK, CRESCENT])
 @pytest.mark.parametrize(
     ("shares", "known"),

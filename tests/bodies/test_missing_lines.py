@@ -20,7 +20,7 @@ def trial(request):
     )
 
 
-@pytest.mark.slow(keep=["25.0-find_disk-every other line", "60.0-find_least_squares-columns"])
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [EVERY_OTHER_LINE, EVERY_THIRD_COLUMN], ids=["every other line", "columns"])
 @pytest.mark.parametrize("find", [find_disk, find_least_squares], ids=lambda find: find.__name__)
 def test_a_disk_is_found_where_lines_are_missing(trial, lost, find):

@@ -12,7 +12,7 @@ SPHERE, TRIAXIAL = (1.0, 1.0, 1.0), (1.0, 0.8, 0.65)
 BIAS_PX = 0.003
 
 
-@pytest.mark.slow(keep=["5.0-0.0-axes0-32-find_least_squares"])
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", FINDERS)
 @pytest.mark.parametrize(
     ("diameter", "phase", "axes", "rays"),

@@ -44,7 +44,7 @@ def measured(setup, law):
     return disk.fit, float(np.hypot(*away)), sigmas
 
 
-@pytest.mark.slow(keep=["1-200.0-70.0-lommel_seeliger-said0-0.1-true0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter", "phase", "law", "said", "within_px", "true"),
     [

@@ -31,7 +31,7 @@ def doubted():
     return measure_disk(trial.picture, trial.name, "disk", None, None)
 
 
-@pytest.mark.slow(keep=["258 px"])
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DOUBTED)
 def test_patches_do_not_doubt_a_center_that_explains_them(case):
     trial = make_trial(DOUBTED[case])
@@ -75,6 +75,7 @@ def test_crossings_by_a_likelihoods_own_albedo_are_not_weighed_with_it(doubted):
     assert np.any(judged_disk(other).pixel_line != doubted.fit.center_px)
 
 
+@pytest.mark.slow
 def test_an_albedo_over_all_of_a_small_disk_confirms_nothing(monkeypatch):
     """It would explain any center's light, so that crossings which differ are left as they are, however near it has them."""
     trial = make_trial(TrialSetup(11, 12.0, 70.0, family="blobs_0.6", contrast=9.0))

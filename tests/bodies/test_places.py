@@ -69,7 +69,7 @@ def test_saturation_is_an_unknown_of_a_place(body_stage):
     assert np.hypot(*(place.center_px - TRUE)) < 3.0 * place.center_sigma_px
 
 
-@pytest.mark.slow(keep=["1600 px"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter_px", "place_px", "family", "contrast", "displacement_px"),
     [
@@ -88,7 +88,7 @@ def test_what_the_frame_cuts_is_found(diameter_px, place_px, family, contrast, d
     assert np.hypot(*(place.center_px - trial.truth_px)) < 0.01 * diameter_px
 
 
-@pytest.mark.slow(keep=["1.08"])
+@pytest.mark.slow
 @pytest.mark.parametrize("truth_share", [1.0, 1.08])
 def test_full_disk_center_beside_the_likelihood(body_stage, truth_share):
     """A body 8 % larger than expected, half lit, is fitted with its disk's size; with its own it is 1.2 px off."""

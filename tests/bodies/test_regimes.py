@@ -29,7 +29,7 @@ def find(picture, diameter):
     return finder(picture, "BODY", search_radius_px=5.0)
 
 
-@pytest.mark.slow(keep=["0.0-0.65"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "sigma_px"), [(0.0, 0.65), (0.0, 0.35), (60.0, 0.8), (120.0, 0.65), (120.0, 0.35)]
 )
@@ -70,7 +70,7 @@ def test_both_methods_agree_at_the_limit(binned_stage, sigma_px, phase, add_nois
     )
 
 
-@pytest.mark.slow(keep=["3.5-120.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("diameter", "phase"), [(0.7, 90.0), (1.6, 60.0), (3.5, 120.0)])
 def test_errors_are_what_the_covariance_says(binned_stage, add_noise, diameter, phase):
     """Of the full-disk fit and of a star's: the surface is that of the model, noise is all there is."""
@@ -103,6 +103,7 @@ def test_every_final_corrects_for_phase(binned_stage, final):
     assert found.pictures is not None
 
 
+@pytest.mark.slow
 def test_law_enters_sigma_along_the_sun(binned_stage):
     model = binned_stage.body(3.0, 90.0, (127.31, 126.84))
     picture = binned_stage.picture(binned_stage.light(model), [model])

@@ -31,7 +31,7 @@ def sigmas_off(center, trial):
     return float(np.sqrt(away @ np.linalg.solve(center.covariance_px2, away)))
 
 
-@pytest.mark.slow(keep=["30 px"])
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ROUGH)
 def test_a_center_of_a_rough_body_is_as_uncertain_as_it_is_wrong(case):
     trial = make_trial(ROUGH[case])
@@ -41,6 +41,7 @@ def test_a_center_of_a_rough_body_is_as_uncertain_as_it_is_wrong(case):
     assert center.status == "ok", center.messages
 
 
+@pytest.mark.slow
 def test_what_is_rough_is_told_with_what_to_do():
     trial = make_trial(ROUGH["80 px"])
     center = find_disk(trial.picture, trial.name)
@@ -48,6 +49,7 @@ def test_what_is_rough_is_told_with_what_to_do():
     assert any("limb_roughness" in message for message in center.messages)
 
 
+@pytest.mark.slow
 def test_what_was_stated_is_no_news():
     trial = make_trial(ROUGH["80 px"])
     model = trial.picture.model(trial.name)
@@ -62,7 +64,7 @@ def rough_one(family, phase, diameter, topography):
     return make_trial(replace(setup, family=family, contrast=1.0 if family == "uniform" else 9.0))
 
 
-@pytest.mark.slow(keep=["uniform-80.0"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("family", "phase"), [("uniform", 80.0), ("blobs_0.2", 80.0), ("blobs_0.05", 30.0), ("field_small", 5.0)]
 )

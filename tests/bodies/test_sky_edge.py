@@ -14,7 +14,7 @@ from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
 from opnav_workbench.bodies.disk.starts import UNEXPLAINED, fit_disk
 
 
-@pytest.mark.slow(keep=["170"])
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [170, 319, 691])
 def test_a_patch_at_the_limb_is_no_sky(index):
     """Of 13 `ok` beyond 5 sigma among 2,000 trials those that did not explain their pixels: 1.1, 4.7 and 3.5 px off."""
@@ -25,7 +25,7 @@ def test_a_patch_at_the_limb_is_no_sky(index):
     assert np.hypot(*away) < 0.025 * trial.setup.diameter_px
 
 
-@pytest.mark.slow(keep=["4"])
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_an_outline_that_asks_each_pixel_by_itself(seed):
     """Patches as wide as the body, nine times darker: from 3 px beside and 5 % too small to where steps reach the limb."""

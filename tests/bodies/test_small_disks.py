@@ -53,6 +53,7 @@ def test_sizes_that_are_as_likely_belong_to_the_sigma(monkeypatch, sample):
         assert np.all(np.linalg.eigvalsh(wide.unrest_px2 - one.unrest_px2) > -1e-12)
 
 
+@pytest.mark.slow(keep=["8.0-figure1-1", "40.0-figure2-1"])
 @pytest.mark.parametrize(
     ("diameter_px", "figure", "fits"),
     [

@@ -105,7 +105,7 @@ def test_stars_and_hits_are_no_body(body_stage, seed):
     assert find_disk(picture, "BODY").status == "not_detected"
 
 
-@pytest.mark.slow(keep=["12.0-100.0-far"])
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(322.8, 641.3), (506.2, 497.7)], ids=["far", "near"])
 @pytest.mark.parametrize(("width_px", "phase_deg"), [(6.0, 60.0), (12.0, 100.0), (25.0, 100.0)])
 def test_a_bright_star_is_no_crescent_that_cannot_be_seen(body_stage, width_px, phase_deg, place):
@@ -138,6 +138,7 @@ def test_a_body_beside_a_brighter_star_is_still_found(body_stage, offset_px, kno
     assert error < (1.0 if known else 5.0)
 
 
+@pytest.mark.slow
 def test_a_moon_is_not_its_planet_whose_pixels_are_lost(body_stage):
     planet, moon = planet_and_moon(body_stage, (14.0, 7.0), 60.0)
     lost = np.zeros((1024, 1024), dtype=bool)

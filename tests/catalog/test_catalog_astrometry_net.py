@@ -259,6 +259,7 @@ def test_what_cannot_be_used_gets_one_clear_line(tmp_path) -> None:
     complains(bad_scale, "star vectors have lengths")
 
 
+@pytest.mark.slow
 def test_bundled_has_debians_tycho2_kept_in_our_layout(tmp_path, monkeypatch) -> None:
     folder = tmp_path / "astrometry"
     folder.mkdir()

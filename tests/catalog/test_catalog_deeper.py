@@ -3,6 +3,7 @@
 import re
 
 import numpy as np
+import pytest
 
 from opnav_workbench.catalog import deeper_catalogs, open_catalog
 
@@ -14,6 +15,7 @@ def counts(ra_deg, dec_deg, field_sr=FIELD_SR):
     return told, [int(number) for number in re.findall(r"about (\d+)", told)]
 
 
+@pytest.mark.slow
 def test_commands_and_about_how_many_stars_they_bring(tmp_path, monkeypatch):
     monkeypatch.setenv("OPNAV_CACHE", str(tmp_path))
     told, (tycho2, debian, gaia) = counts(192.9, 27.1)  # the pole of the Galaxy

@@ -98,6 +98,7 @@ SELDOM = set(
 )
 
 
+@pytest.mark.slow
 def test_a_star_frame_loads_nothing_that_few_pictures_need(demo_truths, tmp_path):
     """What costs it a second: counted, for a time depends on the machine."""
     truth = demo_truths[1]  # of 15 stars

@@ -223,6 +223,7 @@ def test_a_cluster_survives_a_worker_that_is_killed(tmp_path, stand_in, undistur
         assert one.digest() == other.digest()
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
     pytest.importorskip("distributed", reason="the cluster extra is not installed")
     monkeypatch.setattr(night_workers, "CONNECT_S", 1)

@@ -64,7 +64,7 @@ def m7(built):
         yield kernels
 
 
-@pytest.mark.slow(keep=["new_horizons/pluto_approach"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_quick_small_and_whole(built, name):
     metakernel, seconds = built(name)

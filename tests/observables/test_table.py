@@ -162,6 +162,7 @@ def test_the_text_of_an_ecsv_holds_the_table_whatever_its_names(observables):
 WORDS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), min_size=1, max_size=200)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(WORDS, WORDS, st.lists(st.floats(), min_size=4, max_size=4))
 @example("\t", "a\rb", [0.0, 0.0, 0.0, 0.0])

@@ -29,6 +29,7 @@ def _names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.slow
 def test_a_picture_gets_its_folder_with_all_files(demo_truths, tmp_path):
     words = []
     for truth in demo_truths:

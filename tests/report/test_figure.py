@@ -60,7 +60,7 @@ def share_of(pixels: np.ndarray, color: str) -> float:
     return float((np.abs(pixels - 255.0 * np.array(to_rgb(color))).max(axis=-1) < 20.0).mean())
 
 
-@pytest.mark.slow(keep=["strip"])
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [0, 1], ids=["square", "strip"])
 def test_summary_shows_the_processed_frame(processed, tmp_path, camera):
     path = tmp_path / "new folder" / "summary.png"

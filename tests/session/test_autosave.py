@@ -143,6 +143,7 @@ def test_open_or_resume(truth, kernels, tmp_path):
 # -- crashes -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_kill_9_loses_nothing_that_had_returned(demo_truths, tmp_path):
     picture, folder, after = demo_truths[0].picture, tmp_path / "run", 40
     worker = _worker(picture, folder)
@@ -307,6 +308,7 @@ def test_a_session_that_is_gone_holds_no_lock(truth, kernels, tmp_path):
     assert again.state.user_notes == ("first",)
 
 
+@pytest.mark.slow
 def test_only_one_of_many_threads_gets_the_lock(tmp_path):
     def taken(_):
         with suppress(SessionError):

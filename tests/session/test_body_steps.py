@@ -107,6 +107,7 @@ def test_a_shape_model_is_trusted_more_than_an_ellipsoid(near, tmp_path):
         body_model(replace(near.context, mission=mission), near.inputs, "PLUTO")
 
 
+@pytest.mark.slow(keep=["cross_correlation", "limb_scan", "ellipse"])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_pluto_and_says_so_in_the_result(near, resolved_truths, method):
     near.find_body("PLUTO", method)
@@ -274,6 +275,7 @@ def test_predicting_again_keeps_circles_scans_and_notes(near):
 # -- several bodies ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_bodies_found_together_carry_their_correlation(pair, resolved_truths):
     pair.find_bodies(["PLUTO", "CHARON"])
     pair.observables()
@@ -373,6 +375,7 @@ def test_the_light_of_a_disk_is_no_field_of_stars(near, resolved_truths):
     assert near.state.pointing.n_stars >= 4
 
 
+@pytest.mark.slow
 def test_a_star_behind_a_body_is_said_to_be_there(near):
     """A catalog star put behind Pluto's center: nobody can see it, and the result says why."""
     near.find_body("PLUTO")

@@ -171,6 +171,7 @@ def test_a_file_of_decisions_is_all_that_a_night_needs(starless_truth, tmp_path)
     assert json_text(repeated.result["bodies"]) == json_text(outcome.result["bodies"])
 
 
+@pytest.mark.slow
 def test_the_few_stars_of_the_same_picture_tell_its_attitude(unknown, resolved_truths):
     """Where nobody asked for the sky until stars are looked for: five of them."""
     truth = resolved_truths[0]

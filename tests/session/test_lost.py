@@ -151,7 +151,7 @@ def test_what_the_sky_told_is_kept(paint, sky, tmp_path):
     assert resumed.inputs.lost.message == session.inputs.lost.message
 
 
-@pytest.mark.slow(keep=["rot90-90"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("laid", "deg"),
     [(np.rot90, 90), (lambda image: np.rot90(image, 2), 180), (lambda image: np.rot90(image, 3), 270)],

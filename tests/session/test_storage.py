@@ -129,6 +129,7 @@ def test_settings_are_kept(truth, kernels, tmp_path):
     assert ImageSession.resume(tmp_path).context.settings == settings
 
 
+@pytest.mark.slow
 def test_the_picture_may_have_moved(finished, folder, truth, tmp_path):
     moved = tmp_path / "elsewhere.fit"
     moved.write_bytes(truth.picture.read_bytes())
@@ -209,6 +210,7 @@ def test_another_format_version(folder, tmp_path, version):
     _one_line(caught)
 
 
+@pytest.mark.slow(keep=["2", "None", "1_1"])
 @pytest.mark.parametrize("schema", [1, 2, None, "1"])
 def test_session_written_before_files_said_their_version(folder, tmp_path, schema):
     """Version 0 had ``schema: 1`` in place of ``format_version``."""

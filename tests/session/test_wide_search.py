@@ -291,6 +291,7 @@ def test_the_brighter_images_are_the_stars(demo_truths, tmp_path, share):
     assert any("second image" in message for message in session.state.messages)
 
 
+@pytest.mark.slow
 def test_a_trail_is_no_second_image(demo_truths, tmp_path):
     truth = demo_truths[1]
     steps = range(-4, 5)

@@ -38,6 +38,7 @@ def measured(image, start, known=PRIOR):
     return centers, found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("apart_px", "ratio", "known"), [(2.2, 1.0, PRIOR), (1.8, 0.6, ShapePrior.round_psf(SIGMA, 0.03, 0.03))]
 )
@@ -53,6 +54,7 @@ def test_a_blend_says_what_it_does_not_know(star_mosaic, unit_gaussian, apart_px
     assert np.sqrt(np.mean(after)) < 2.0
 
 
+@pytest.mark.slow
 def test_a_star_alone_stays_as_it_was_fitted(star_mosaic, unit_gaussian):
     tiles, _, start = lone_pictures(star_mosaic, unit_gaussian, 2.0, 0.0, 3000.0, 2)
     changed = 0

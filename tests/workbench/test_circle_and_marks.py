@@ -63,6 +63,7 @@ def test_circle_by_drag(body_hands):
     assert body_hands.session.state.circles["PLUTO"].radius_px == 50.0
 
 
+@pytest.mark.slow
 def test_a_body_that_no_kernel_knows_is_described_by_its_circle(star_hands):
     star_hands.press("3")
     star_hands.send("add_body", value="vulcan 30, 20, 20")

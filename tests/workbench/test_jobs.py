@@ -248,6 +248,7 @@ def test_a_step_gives_way_to_keys(star_hands, monkeypatch):
     assert seen == [pytest.approx(GIVE_WAY_S)]
 
 
+@pytest.mark.slow
 def test_a_click_while_an_outcome_is_drawn_locks_nothing(solved_sessions, kernels):
     """A click waits for what a step's end changes, and that for no click."""
     view = ImageView()
@@ -275,6 +276,7 @@ def test_a_click_while_an_outcome_is_drawn_locks_nothing(solved_sessions, kernel
     assert clicked.is_set()
 
 
+@pytest.mark.slow
 def test_the_next_picture_is_one_message_and_then_told(solved_sessions, kernels):
     bench = Workbench(ImageQueue.of_sessions(solved_sessions))
     bench.controller.runner.wait()

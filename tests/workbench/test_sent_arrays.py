@@ -55,6 +55,7 @@ def test_an_array_lives_as_long_as_it_is_needed():
     assert store.get(token) is None
 
 
+@pytest.mark.slow
 def test_a_page_is_given_what_it_lacks_and_told_what_is_gone(solved_sessions):
     view, sent = ImageView(solved_sessions[0]), []
 
