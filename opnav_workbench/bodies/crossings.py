@@ -327,7 +327,9 @@ def fit_crossings(
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    solution, near = expected, near_px
+    # From the outline or from the model's figure: about one of them most crossings lie.
+    starts, near = (expected, np.zeros_like(expected)), near_px
+    solution = max(starts, key=lambda start: float(weights(start, near).sum()))
     for _ in range(NARROWINGS):
         solution = solved(solution, near, near**2, widest)
         near = max(0.5 * near, NEAREST_PX, relief_px)
