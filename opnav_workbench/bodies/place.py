@@ -380,9 +380,12 @@ def _correlated_one(
     score, middle, bins = template.score(of_lit), len(template.inside) // 2, search.bins
     line, pixel = (_lag_index(k, len(template.inside)) + middle for k in template.good)
     y, x = (line + 0.5) * bins - 0.5, (pixel + 0.5) * bins - 0.5
+
+    def within(x: FloatArray, y: FloatArray, reach: float) -> BoolArray:
+        return np.asarray(np.hypot(x - search.expected_px[0], y[:, None] - search.expected_px[1]) <= reach)
+
     if search.limit_px is not None:
-        away = np.hypot(x - search.expected_px[0], y[:, None] - search.expected_px[1])
-        score = np.where(away <= search.limit_px + bins, score, 0.0)
+        score = np.where(within(x, y, search.limit_px + bins), score, 0.0)
     peak = float(score.max())
     if peak <= 0.0:
         return None
@@ -391,10 +394,7 @@ def _correlated_one(
         np.flatnonzero(np.abs(at - here) <= reach)
         for at, here in zip((y, x), search.expected_px[::-1], strict=True)
     )
-    near = score[np.ix_(lines, pixels)]
-    near = near * (
-        np.hypot(x[pixels] - search.expected_px[0], y[lines, None] - search.expected_px[1]) <= reach
-    )
+    near = score[np.ix_(lines, pixels)] * within(x[pixels], y[lines], reach)
     if near.max(initial=0.0) >= max(NEAR_SCORE, NEAR_SHARE * peak):
         k, m = np.unravel_index(int(near.argmax()), near.shape)
         i, j = lines[k], pixels[m]
