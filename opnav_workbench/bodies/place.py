@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.ndimage import map_coordinates, maximum_filter
+from scipy.ndimage import grey_opening, map_coordinates, maximum_filter
 from skimage.measure import block_reduce
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
@@ -73,6 +73,8 @@ SIZES = (0.87, 1.0, 1.15)
 LEVELS = (0.04, 0.12, 0.35)  # of the bright part of the body: what counts as lit
 SKY_SIGMAS = 5.0
 BRIGHT_RANK = 0.3  # of the lit pixels: as bright as this is bright
+# Hits are narrower than that; brightnesses of what is as wide are tried where they are below such a share of all others.
+HIT_PX, HIT_SHARE = 2, 0.5
 CUT_SHARES = (1.0, 0.3, 0.1)  # of the body that may be on the detector: what is bright follows from that
 LIT_SHARE = 0.02  # of the model's brightest part
 KNOWN_SHARE = 0.25  # of the pixels of a bin: every other line may be missing
@@ -250,16 +252,41 @@ def _silhouette_place(
     reach = np.inf if limit is None else limit + bins * (1.0 + RING_SHARE) * (len(template) + 2)
     first = bins * np.clip(np.floor((expected - reach) / bins), 0, None)
     bright, dark_sigma, known = _binned(picture, bins, first, expected + reach)
-    ranked, sky = np.sort(bright[known])[::-1], SKY_SIGMAS * dark_sigma
-    if not len(ranked) or not template.any():
-        return None
-    ranks = (int(BRIGHT_RANK * share * float(template.sum())) for share in CUT_SHARES)
-    tops = dict.fromkeys(float(ranked[min(rank, len(ranked) - 1)]) for rank in ranks)
-    if max(tops) < sky:
+    sky, lit_bins = SKY_SIGMAS * dark_sigma, float(template.sum())
+    tops = _tops(bright[known], lit_bins)
+    if lit_bins == 0.0 or max(tops, default=0.0) < sky:
         return None
     search = _FrameSearch(expected - first, limit, search_radius(radius, None), bins)
     sizes = SIZES if radius > SIZED_RADIUS_PX else (1.0,)
     sized = [_SizedTemplate(template, size, known) for size in sizes]
+    best = _best_of(tops, sky, bright, known, sized, search)
+    if best is None or best.score <= NEAR_SHARE:
+        # Light is as wide as its optics make it; hits may be brighter than the body, and more than its pixels.
+        wide, _, _ = _binned(picture, bins, first, expected + reach, as_wide_as=HIT_PX)
+        others = [top for top in _tops(wide[known], lit_bins) if top < HIT_SHARE * min(tops)]
+        again = _best_of(others, sky, bright, known, sized, search)
+        best = max((place for place in (best, again) if place is not None), key=_score, default=None)
+    if best is None:
+        return None
+    return replace(best, center_px=best.center_px + first, size_ratio=best.size_ratio * ratio)
+
+
+def _tops(bright: FloatArray, lit_bins: float) -> list[float]:
+    """Return how bright a body may be, as bright bins (n,) are, of which it lights so many or a part of them."""
+    ranked = np.sort(bright)[::-1]
+    ranks = (min(int(BRIGHT_RANK * share * lit_bins), len(ranked) - 1) for share in CUT_SHARES)
+    return list(dict.fromkeys(float(ranked[rank]) for rank in ranks)) if len(ranked) else []
+
+
+def _best_of(
+    tops: Sequence[float],
+    sky: float,
+    bright: FloatArray,
+    known: BoolArray,
+    sized: "Sequence[_SizedTemplate]",
+    search: "_FrameSearch",
+) -> BodyPlace | None:
+    """Return the best place of the silhouettes in what is lit of a body that is as bright as one of `tops`."""
     best: BodyPlace | None = None
     for top in (top for top in tops if top >= sky):
         lit = (known & (bright > max(level * top, sky)) for level in LEVELS)
@@ -267,9 +294,7 @@ def _silhouette_place(
         best = max((place for place in (best, *found) if place is not None), key=_score, default=None)
         if best is not None and best.score > NEAR_SHARE:
             break
-    if best is None:
-        return None
-    return replace(best, center_px=best.center_px + first, size_ratio=best.size_ratio * ratio)
+    return best
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,15 +306,20 @@ class _FrameSearch:
 
 
 def _binned(
-    picture: BodyPicture, bins: int, first: FloatArray, last: FloatArray
+    picture: BodyPicture, bins: int, first: FloatArray, last: FloatArray, *, as_wide_as: int = 1
 ) -> tuple[FloatArray, float, BoolArray]:
-    """Return brightness in bins, the noise of sky in them, and which are known; saturated pixels count as they are."""
+    """Return brightness in bins, the noise of sky in them, and which are known; saturated pixels count as they are.
+
+    Of light `as_wide_as` so many pixels in either direction.
+    """
     low = np.clip(first, 0, None)
     high = np.clip(np.ceil(last) + 1, low, picture.signal_dn.shape[::-1])
     part = tuple(slice(int(a), int(b)) for a, b in zip(low[::-1], high[::-1], strict=True))
     signal, noise_dn = picture.signal_dn[part], picture.noise_dn[part]
     usable = picture.shown(part)
     data = np.where(usable, signal, 0.0)
+    if as_wide_as > 1:
+        data = grey_opening(data, (as_wide_as, as_wide_as))
     count = block_reduce(usable.astype(np.float64), bins, np.sum)
     total = block_reduce(data, bins, np.sum)
     known = count > KNOWN_SHARE * bins**2

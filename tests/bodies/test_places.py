@@ -9,12 +9,39 @@ from scipy.stats import norm
 
 from opnav_workbench.bodies import BodyCenter, BodyFlag, find_disk, find_least_squares
 from opnav_workbench.bodies.crossings import LimbCrossings, crossing_columns, crossing_depths, fit_crossings
+from opnav_workbench.bodies.disk.measurement import with_true_sky
 from opnav_workbench.bodies.judgement import confirmed_center
 from opnav_workbench.bodies.place import find_place
 from opnav_workbench.bodies.silhouette import body_outline
 from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
 
 TRUE = np.array([511.3, 511.8])
+
+
+@pytest.mark.slow(keep=["28.0-128.0-105.0-436"])
+@pytest.mark.parametrize(
+    ("diameter", "phase", "peak", "tracks"),
+    [(37.0, 124.0, 80.0, 484), (28.0, 128.0, 105.0, 436), (25.0, 60.0, 77.0, 356), (22.7, 121.4, 156.0, 285)],
+)
+def test_tracks_of_cosmic_rays_that_outshine_a_crescent_are_not_taken_for_it(diameter, phase, peak, tracks):
+    """A track is as narrow as a crescent and brighter: before, 200 to 900 px off, one of them `ok`."""
+    setup = TrialSetup(
+        8,
+        diameter,
+        phase,
+        family="blobs_0.35",
+        contrast=3.0,
+        peak_dn=peak,
+        cosmic_rays=tracks,
+        displacement_px=70.0,
+    )
+    trial = make_trial(setup)
+    place = find_place(with_true_sky(trial.picture), trial.name)
+    assert np.hypot(*(place.center_px - trial.truth_px)) < 2.0
+    center = find_disk(trial.picture, trial.name)
+    error = center.pixel_line - trial.truth_px
+    assert center.status == "ok", center.messages
+    assert error @ np.linalg.solve(center.covariance_px2, error) < 3.5**2
 
 
 @pytest.mark.slow(keep=["law1"])
