@@ -294,6 +294,8 @@ def fit_crossings(
     relief_px: float,
     mean: FloatArray,
     near_px: float,
+    *,
+    fitted: bool = False,
 ) -> CrossingFit:
     """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
 
@@ -305,6 +307,9 @@ def fit_crossings(
         Scatter of the limb about its outline.
     mean : (3,) array
         Where the model has log size and strain, as changes of the outline.
+    fitted
+        Whether the outline is one that a fit has come to: then crossings may lie about it, however far its figure is from
+        the model's. Else it is that of a body about here.
     """
     moving = crossing_columns(crossings.angle_rad, outline)
     columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
@@ -327,8 +332,7 @@ def fit_crossings(
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    # From the outline or from the model's figure: about one of them most crossings lie.
-    starts, near = (expected, np.zeros_like(expected)), near_px
+    near, starts = near_px, (expected, *[np.zeros_like(expected)] * fitted)
     solution = max(starts, key=lambda start: float(weights(start, near).sum()))
     for _ in range(NARROWINGS):
         solution = solved(solution, near, near**2, widest)

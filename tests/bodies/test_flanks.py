@@ -95,7 +95,9 @@ def test_crossings_about_an_outline_are_not_lost_for_a_figure_that_is_told_wrong
     depth = np.random.default_rng(2).normal(-0.5, 0.4, len(angle))
     known, none, own = angle < 5.0, np.empty((len(angle), 0)), np.full(len(angle), 0.9)
     crossings = LimbCrossings(angle, depth, known, known, none, own, 0.05)
-    fit = fit_crossings(crossings, outline, FigureUncertainty(), 0.2, np.array([0.07, 0.0, 0.0]), 1.0)
+    fit = fit_crossings(
+        crossings, outline, FigureUncertainty(), 0.2, np.array([0.07, 0.0, 0.0]), 1.0, fitted=True
+    )
     assert np.hypot(*fit.step_px) < 1.0
     assert abs(fit.log_size) < 0.01
     assert fit.relief_px < 0.5
