@@ -156,13 +156,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     if picture.saturated.any():
         behind = np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width)
         near = np.any((behind < 0.5 * LEVEL_TO * width) & _touches(picture.saturated, places), axis=1)
-        step = float(np.sqrt(_edge_variance(picture)))
-        hidden = near & hidden_limbs(data, depth, picture.saturation_dn, observed, step)
-        shot = 1.0 / picture.shot_gain_e_per_dn
-        flanks = limb_flanks(data[hidden], valid[hidden], depth, picture.saturation_dn, step, noise, shot)
-        sigma[near] = PATCH_PX
-        observed[hidden], sigma[hidden] = flanks.depth_px, flanks.sigma_px
-        alike = FLANK_WIDTHS * step * hidden[None]
+        observed, sigma, alike = _of_saturated(picture, data, valid, depth, observed, near)
     expected = crossed[0]
     index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
     rows = np.arange(RAYS)
@@ -175,6 +169,27 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     return LimbCrossings(
         angle, away, at_limb & whole, known, changes, sigma, _noise_px(picture, noise, bright)
     )
+
+
+def _of_saturated(
+    picture: BodyPicture,
+    data: FloatArray,
+    valid: BoolArray,
+    depth: FloatArray,
+    half_px: FloatArray,
+    near: BoolArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return crossings of rays (n, m) that are at half (n,) of the brightness, or on a flank where the limb is saturated.
+
+    `near` says where something saturated is close behind. Second their sigmas (n,), then what moves flanks alike (1, n).
+    """
+    width, noise = float(np.sqrt(_edge_variance(picture))), float(np.median(picture.noise_dn))
+    level, shot = picture.saturation_dn, 1.0 / picture.shot_gain_e_per_dn
+    hidden = near & hidden_limbs(data, depth, level, half_px, width)
+    flanks = limb_flanks(data[hidden], valid[hidden], depth, level, width, noise, shot)
+    observed, sigma = half_px.copy(), np.where(near, PATCH_PX, 0.0)
+    observed[hidden], sigma[hidden] = flanks.depth_px, flanks.sigma_px
+    return observed, sigma, FLANK_WIDTHS * width * hidden[None]
 
 
 def _noise_px(picture: BodyPicture, noise_dn: float, bright_dn: float) -> float:
