@@ -189,7 +189,7 @@ def _of_saturated(
     flanks = limb_flanks(data[hidden], valid[hidden], depth, level, width, noise, shot)
     observed, sigma = half_px.copy(), np.where(near, PATCH_PX, 0.0)
     observed[hidden], sigma[hidden] = flanks.depth_px, flanks.sigma_px
-    return observed, sigma, FLANK_WIDTHS * width * hidden[None]
+    return observed, sigma, np.where(hidden, FLANK_WIDTHS * width, 0.0)[None]
 
 
 def _noise_px(picture: BodyPicture, noise_dn: float, bright_dn: float) -> float:
