@@ -309,8 +309,6 @@ def fit_crossings(
     relief_px: float,
     mean: FloatArray,
     near_px: float,
-    *,
-    fitted: bool = False,
 ) -> CrossingFit:
     """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
 
@@ -322,9 +320,6 @@ def fit_crossings(
         Scatter of the limb about its outline.
     mean : (3,) array
         Where the model has log size and strain, as changes of the outline.
-    fitted
-        Whether the outline is one that a fit has come to: then crossings may lie about it, however far its figure is from
-        the model's. Else it is that of a body about here.
     """
     moving = crossing_columns(crossings.angle_rad, outline)
     columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
@@ -340,15 +335,16 @@ def fit_crossings(
     def weights(solution: FloatArray, near: float) -> FloatArray:
         return np.asarray((1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0)
 
-    def solved(solution: FloatArray, near: float, variance: float, scales: FloatArray) -> FloatArray:
-        weight = weights(solution, near) / (variance + own)
+    def solved(
+        solution: FloatArray, near: float, variance: FloatArray | float, scales: FloatArray
+    ) -> FloatArray:
+        weight = weights(solution, near) / variance
         normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
         there = expected + mixed_solution(normal, columns.T @ (weight * beyond), scales).theta
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    near, starts = near_px, (expected, *[np.zeros_like(expected)] * fitted)
-    solution = max(starts, key=lambda start: float(weights(start, near).sum()))
+    solution, near = expected, near_px
     for _ in range(NARROWINGS):
         solution = solved(solution, near, near**2, widest)
         near = max(0.5 * near, NEAREST_PX, relief_px)
@@ -356,14 +352,14 @@ def fit_crossings(
     spread, alike = _scatter(residual)
     common = (1.0 + alike) / (1.0 - alike)
     variance = common * spread**2 + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
-    free = float(solved(solution, near, variance, widest)[2])
-    solution = solved(solution, near, variance, scales)
+    each = variance + own
+    free = float(solved(solution, near, each, widest)[2])
+    solution = solved(solution, near, each, scales)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
     kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
-    weight = 1.0 / (variance + own)
-    normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
+    normal = columns.T @ (columns / each[:, None]) + np.diag(precision)
     mixed, alone = (
-        mixed_solution(normal, columns.T @ (weight * kept), each).covariance for each in (scales, widest)
+        mixed_solution(normal, columns.T @ (kept / each), one).covariance for one in (scales, widest)
     )
     size_sigma = float(np.sqrt(alone[2, 2]))
     beyond_px2 = max(alike * spread**2 - HALF_PX**2 - crossings.noise_px**2 - float(np.median(own)), 0.0)

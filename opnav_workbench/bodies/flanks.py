@@ -19,7 +19,6 @@ REACHED, LOW = 0.8, 0.06  # shares of the level that light is read between
 PLACES = np.linspace(-0.5, 3.0, 36)
 TRUE_SHARE = 0.05  # of the light along a ray: it is interpolated, and no limb is a plain step
 SKY = (4.0, 6.0)  # widths, from there: light that goes on is not the limb's
-LEAST_FALL = 1e-9  # of the level, between two samples
 BESIDE = 1.5  # widths between half of the light and the level: farther in, what is cut off is a patch and not the limb
 
 
@@ -97,5 +96,5 @@ def _level_reached(
     m, rows = profile.shape[1], np.arange(len(profile))
     k = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
     top, below = profile[rows, k], profile[rows, k + 1]
-    part = np.clip((top - wanted) / np.maximum(top - below, LEAST_FALL * level), 0.0, 1.0)
+    part = np.clip(np.divide(top - wanted, top - below, out=np.zeros(len(top)), where=top > below), 0.0, 1.0)
     return depth_px[k] + part * float(depth_px[1] - depth_px[0]), k + 1, np.asarray(over.any(axis=1))

@@ -273,9 +273,11 @@ def _silhouette_place(
 
 def _tops(bright: FloatArray, lit_bins: float) -> list[float]:
     """Return how bright a body may be, as bright bins (n,) are, of which it lights so many or a part of them."""
-    ranked = np.sort(bright)[::-1]
-    ranks = (min(int(BRIGHT_RANK * share * lit_bins), len(ranked) - 1) for share in CUT_SHARES)
-    return list(dict.fromkeys(float(ranked[rank]) for rank in ranks)) if len(ranked) else []
+    if not len(bright):
+        return []
+    ranks = [min(int(BRIGHT_RANK * share * lit_bins), len(bright) - 1) for share in CUT_SHARES]
+    places = len(bright) - 1 - np.array(ranks)
+    return list(dict.fromkeys(np.partition(bright, places)[places].tolist()))
 
 
 def _best_of(

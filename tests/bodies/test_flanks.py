@@ -5,11 +5,9 @@ import pytest
 from disk_truth import TrialSetup, make_trial
 from scipy.special import erfc
 
-from opnav_workbench.bodies.crossings import LimbCrossings, crossing_depths, fit_crossings
+from opnav_workbench.bodies.crossings import crossing_depths
 from opnav_workbench.bodies.disk.measurement import placed_body, with_true_sky
 from opnav_workbench.bodies.flanks import hidden_limbs, limb_flanks
-from opnav_workbench.bodies.silhouette import body_outline
-from opnav_workbench.render import FigureUncertainty
 
 DEPTH = np.arange(-12.0, 12.0, 0.25)
 LEVEL, WIDTH = 200.0, 1.1
@@ -85,19 +83,3 @@ def test_a_place_of_an_overexposed_patchy_disk_is_near_its_center(setup):
     trial = make_trial(setup)
     place = placed_body(with_true_sky(trial.picture), trial.name, "disk", None, None)
     assert np.hypot(*(place.center_px - trial.truth_px)) < 0.75
-
-
-def test_crossings_about_an_outline_are_not_lost_for_a_figure_that_is_told_wrongly(body_stage):
-    """A body 7 % smaller than its model, 650 px wide: its crossings lie about it, 23 px inside of what was expected."""
-    model = body_stage.body(650.0, 9.0, (512.0, 512.0))
-    outline = body_outline(body_stage.picture(np.zeros((1024, 1024)), [model]), "BODY")
-    angle = np.radians(np.arange(1.0, 360.0, 2.0))
-    depth = np.random.default_rng(2).normal(-0.5, 0.4, len(angle))
-    known, none, own = angle < 5.0, np.empty((len(angle), 0)), np.full(len(angle), 0.9)
-    crossings = LimbCrossings(angle, depth, known, known, none, own, 0.05)
-    fit = fit_crossings(
-        crossings, outline, FigureUncertainty(), 0.2, np.array([0.07, 0.0, 0.0]), 1.0, fitted=True
-    )
-    assert np.hypot(*fit.step_px) < 1.0
-    assert abs(fit.log_size) < 0.01
-    assert fit.relief_px < 0.5

@@ -388,7 +388,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
         return None
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     rough = fit.prior.rough_px
-    read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0, fitted=True)
+    read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0)
     agree = alike(fit, read, EXPLAINED_SIGMAS)
     if read.relief_px == 0.0 and agree:
         return read
@@ -396,7 +396,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
     beyond = crossings.beyond(cross_limb(patterned, outline, reach, profiles))
     if np.count_nonzero(beyond.known) < FEWEST_CROSSINGS:
         return read
-    left = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0, fitted=True)
+    left = fit_crossings(beyond, outline, fit.figure, rough, expected, 1.0)
     # Where even its own light has the limb elsewhere, a fit is not right, and its center may be off in any direction.
     relief = min(left, read, key=lambda each: each.relief_px)
     relief_px2 = relief.relief_px2 + 0.5 * WANDERED_SHARE**2 * float(left.step_px @ left.step_px) * np.eye(2)
