@@ -16,7 +16,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
-from opnav_workbench.bodies.flanks import hidden_limbs, limb_flanks
+from opnav_workbench.bodies.flanks import hidden_limbs, limb_flanks, outermost_fall
 from opnav_workbench.bodies.picture import BodyPicture, RayFan, displaced_model
 from opnav_workbench.bodies.scales import mixed_solution, scale_precisions
 from opnav_workbench.bodies.silhouette import TURN, Outline
@@ -114,11 +114,9 @@ def crossing_depths(profile: FloatArray, depth_px: FloatArray, width_px: float, 
     high, low = np.clip(last - near, 1, m), np.clip(last - far, 0, m - 1)
     half = np.maximum(0.5 * (sums[rows, high] - sums[rows, low]) / np.maximum(high - low, 1), faint)
     over = (at < np.minimum(last + run, m)[:, None]) & (profile > half[:, None])
-    k = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
-    top, below = profile[rows, k], profile[rows, k + 1]
-    part = np.clip((top - half) / np.maximum(top - below, 1e-12), 0.0, 1.0)
+    crossing, _ = outermost_fall(profile, depth_px, over, half)
     found = over.any(axis=1) & lasting.any(axis=1) & (high > low)
-    return np.where(found, depth_px[k] + part * step, np.nan)
+    return np.where(found, crossing, np.nan)
 
 
 Profiles = Callable[[Outline, FloatArray, FloatArray], FloatArray]
@@ -156,7 +154,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     if picture.saturated.any():
         behind = np.abs(depth - np.nan_to_num(observed)[:, None] + 0.5 * LEVEL_TO * width)
         near = np.any((behind < 0.5 * LEVEL_TO * width) & _touches(picture.saturated, places), axis=1)
-        observed, sigma, alike = _of_saturated(picture, data, valid, depth, observed, near)
+        observed, sigma, alike = _of_saturated(picture, noise, data, valid, depth, observed, near)
     expected = crossed[0]
     index = np.clip(np.searchsorted(depth, np.nan_to_num(observed)), 1, len(depth) - 2)
     rows = np.arange(RAYS)
@@ -173,6 +171,7 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
 
 def _of_saturated(
     picture: BodyPicture,
+    noise_dn: float,
     data: FloatArray,
     valid: BoolArray,
     depth: FloatArray,
@@ -183,10 +182,11 @@ def _of_saturated(
 
     `near` says where something saturated is close behind. Second their sigmas (n,), then what moves flanks alike (1, n).
     """
-    width, noise = float(np.sqrt(_edge_variance(picture))), float(np.median(picture.noise_dn))
-    level, shot = picture.saturation_dn, 1.0 / picture.shot_gain_e_per_dn
+    width, level = float(np.sqrt(_edge_variance(picture))), picture.saturation_dn
     hidden = near & hidden_limbs(data, depth, level, half_px, width)
-    flanks = limb_flanks(data[hidden], valid[hidden], depth, level, width, noise, shot)
+    flanks = limb_flanks(
+        data[hidden], valid[hidden], depth, level, width, noise_dn, 1.0 / picture.shot_gain_e_per_dn
+    )
     observed, sigma = half_px.copy(), np.where(near, PATCH_PX, 0.0)
     observed[hidden], sigma[hidden] = flanks.depth_px, flanks.sigma_px
     return observed, sigma, np.where(hidden, FLANK_WIDTHS * width, 0.0)[None]

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Flanks", "hidden_limbs", "limb_flanks"]
+__all__ = ["Flanks", "hidden_limbs", "limb_flanks", "outermost_fall"]
 
 REACHED, LOW = 0.8, 0.06  # shares of the level that light is read between
 # Where light has come down to `REACHED`, in widths outside of the limb; brighter than a thousand times the level is nothing.
@@ -91,10 +91,18 @@ def _level_reached(
     profile: FloatArray, depth_px: FloatArray, level: float
 ) -> tuple[FloatArray, IntArray, BoolArray]:
     """Return where profiles (n, m) come down to `REACHED` of a level, outermost; the next sample; if they do."""
-    wanted = REACHED * level
-    over = profile > wanted
+    wanted = np.full(len(profile), REACHED * level)
+    over = profile > wanted[:, None]
+    edge, last = outermost_fall(profile, depth_px, over, wanted)
+    return edge, last + 1, np.asarray(over.any(axis=1))
+
+
+def outermost_fall(
+    profile: FloatArray, depth_px: FloatArray, over: BoolArray, wanted: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Return where profiles (n, m) come down to a value (n,) after the last sample that is `over` it, and that sample."""
     m, rows = profile.shape[1], np.arange(len(profile))
-    k = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
-    top, below = profile[rows, k], profile[rows, k + 1]
-    part = np.clip(np.divide(top - wanted, top - below, out=np.zeros(len(top)), where=top > below), 0.0, 1.0)
-    return depth_px[k] + part * float(depth_px[1] - depth_px[0]), k + 1, np.asarray(over.any(axis=1))
+    last = np.clip(m - 1 - over[:, ::-1].argmax(axis=1), 0, m - 2)
+    top, below = profile[rows, last], profile[rows, last + 1]
+    part = np.clip((top - wanted) / np.maximum(top - below, 1e-12), 0.0, 1.0)
+    return depth_px[last] + part * float(depth_px[1] - depth_px[0]), last

@@ -264,8 +264,7 @@ def _silhouette_place(
         # Light is as wide as its optics make it; hits may be brighter than the body, and more than its pixels.
         wide, _, _ = _binned(picture, bins, first, expected + reach, as_wide_as=HIT_PX)
         others = [top for top in _tops(wide[known], lit_bins) if top < HIT_SHARE * min(tops)]
-        again = _best_of(others, sky, bright, known, sized, search)
-        best = max((place for place in (best, again) if place is not None), key=_score, default=None)
+        best = _best_of(others, sky, bright, known, sized, search, best)
     if best is None:
         return None
     return replace(best, center_px=best.center_px + first, size_ratio=best.size_ratio * ratio)
@@ -278,25 +277,6 @@ def _tops(bright: FloatArray, lit_bins: float) -> list[float]:
     ranks = [min(int(BRIGHT_RANK * share * lit_bins), len(bright) - 1) for share in CUT_SHARES]
     places = len(bright) - 1 - np.array(ranks)
     return list(dict.fromkeys(np.partition(bright, places)[places].tolist()))
-
-
-def _best_of(
-    tops: Sequence[float],
-    sky: float,
-    bright: FloatArray,
-    known: BoolArray,
-    sized: "Sequence[_SizedTemplate]",
-    search: "_FrameSearch",
-) -> BodyPlace | None:
-    """Return the best place of the silhouettes in what is lit of a body that is as bright as one of `tops`."""
-    best: BodyPlace | None = None
-    for top in (top for top in tops if top >= sky):
-        lit = (known & (bright > max(level * top, sky)) for level in LEVELS)
-        found = (_correlated(plane, sized, search) for plane in lit)
-        best = max((place for place in (best, *found) if place is not None), key=_score, default=None)
-        if best is not None and best.score > NEAR_SHARE:
-            break
-    return best
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -312,7 +292,7 @@ def _binned(
 ) -> tuple[FloatArray, float, BoolArray]:
     """Return brightness in bins, the noise of sky in them, and which are known; saturated pixels count as they are.
 
-    Of light `as_wide_as` so many pixels in either direction.
+    Light that is not `as_wide_as` so many pixels in either direction is left out.
     """
     low = np.clip(first, 0, None)
     high = np.clip(np.ceil(last) + 1, low, picture.signal_dn.shape[::-1])
@@ -397,6 +377,25 @@ class _SizedTemplate:
 
 def _score(place: BodyPlace) -> float:
     return place.score
+
+
+def _best_of(
+    tops: Sequence[float],
+    sky: float,
+    bright: FloatArray,
+    known: BoolArray,
+    sized: Sequence[_SizedTemplate],
+    search: _FrameSearch,
+    best: BodyPlace | None = None,
+) -> BodyPlace | None:
+    """Return the best place of the silhouettes in what is lit of a body as bright as one of `tops`, or one there is."""
+    for top in (top for top in tops if top >= sky):
+        lit = (known & (bright > max(level * top, sky)) for level in LEVELS)
+        found = (_correlated(plane, sized, search) for plane in lit)
+        best = max((place for place in (best, *found) if place is not None), key=_score, default=None)
+        if best is not None and best.score > NEAR_SHARE:
+            break
+    return best
 
 
 def _correlated(lit: BoolArray, sized: Sequence[_SizedTemplate], search: _FrameSearch) -> BodyPlace | None:

@@ -19,8 +19,8 @@ def edges(times_the_level, at_px=0.0, sky=0.0):
     return np.minimum(sky + 0.5 * bright * erfc((DEPTH - at_px) / (np.sqrt(2.0) * WIDTH)), LEVEL)
 
 
-def flanks(light, noise=3.0):
-    return limb_flanks(light, np.ones(light.shape, dtype=bool), DEPTH, LEVEL, WIDTH, noise, 1.0 / 22.0)
+def flanks(light):
+    return limb_flanks(light, np.ones(light.shape, dtype=bool), DEPTH, LEVEL, WIDTH, 3.0, 1.0 / 22.0)
 
 
 @pytest.mark.parametrize("sky", [0.0, 8.0])
@@ -32,9 +32,8 @@ def test_a_limb_is_where_it_is_however_bright(at_px, sky):
     assert np.all(np.abs(away) < 0.35)
     assert np.all(np.abs(away) < 1.5 * found.sigma_px)
     half = crossing_depths(edges(times, at_px, sky), DEPTH, 1.3, 12.0) - at_px
-    assert np.all(
-        half[1:] > 2.0 * np.abs(away[1:])
-    )  # half of what is left lies outside, the farther the brighter
+    # Half of what is left lies outside, the farther the brighter.
+    assert np.all(half[1:] > 2.0 * np.abs(away[1:]))
     assert half[-1] > 2.0
 
 

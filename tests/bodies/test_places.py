@@ -24,7 +24,7 @@ TRUE = np.array([511.3, 511.8])
     [(37.0, 124.0, 80.0, 484), (28.0, 128.0, 105.0, 436), (25.0, 60.0, 77.0, 356), (22.7, 121.4, 156.0, 285)],
 )
 def test_tracks_of_cosmic_rays_that_outshine_a_crescent_are_not_taken_for_it(diameter, phase, peak, tracks):
-    """A track is as narrow as a crescent and brighter: before, 200 to 900 px off, one of them `ok`."""
+    """A track is as narrow as a crescent and brighter: before, one of these was not seen and one 800 px off."""
     setup = TrialSetup(
         8,
         diameter,
