@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, map_coordinates
+from scipy.ndimage import gaussian_filter1d, map_coordinates, median_filter
 
 from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.flanks import hidden_limbs, limb_flanks, outermost_fall
@@ -44,12 +44,16 @@ FAINT_SHARE = 0.04  # of the body's bright part: a limb fainter than that is sky
 LEVEL_FROM, LEVEL_TO = 1.5, 4.0  # widths of the PSF inside of the limb that tell the local brightness
 FAINT_SIGMAS = 4.0
 STEEPER = 0.02  # in the logarithm, over three widths of the PSF: at a limb than behind it
+# What the ends of rays show, of most over a quarter of a turn, is sky, stray light or a coma; brighter than such a share of
+# the body it is the body's own, or another one's.
+END_PX, SKY_RAYS, SKY_SHARE = 4.0, RAYS // 4, 0.25
 FLOOR_SHARE = 0.25  # of what is faint: the sky, where light is told in proportion
 LIT_MODEL = 0.3  # of the model's brightest part: what shows how bright the body is
 INTERPOLATED_VARIANCE = 1.0 / 6.0  # px^2, of a linear interpolation anywhere between two pixels
 # Of what an interpolation rests on: usable pixels; of all places, those with enough of them; and where too few have.
 WHOLE_SHARE, MOSTLY_WHOLE, LEAST_SHARE = 0.95, 0.5, 0.02
 NARROWINGS, NEAREST_PX = 7, 0.3  # of the distance at which a crossing counts half
+MORE_AGREE = 1.2  # crossings with another solution than the nearest to the model's figure: of patches there are as many
 LEAST_SPREAD_PX = 0.1  # of crossings: half of the local brightness is not quite the limb
 HALF_PX = 0.15  # nor where pattern or law are steep at the limb: what lies farther from an outline is of another figure
 RELIEF_RAD = 0.2  # of topography along a limb
@@ -145,9 +149,12 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     width = max(1.0, 1.2 * float(np.max(picture.psf.sigma_px)))
     lit = valid & (model > LIT_MODEL * model.max(initial=0.0))
     bright = float(np.median(data[lit])) if lit.any() else float(np.max(data))
-    noise = float(np.median(picture.noise_dn))
+    noise = picture.typical_noise_dn
     faint = max(FAINT_SHARE * bright, FAINT_SIGMAS * noise)
-    observed = crossing_depths(data, depth, width, faint)
+    sky = _sky_beside(data, valid, SKY_SHARE * bright)
+    if sky.max() < faint:  # all of it is dark: no more than a PSF has in its wings
+        sky = np.zeros(RAYS)
+    observed = crossing_depths(data - sky[:, None], depth, width, faint)
     middle = float(np.median(model[lit])) if lit.any() else 1.0
     crossed = np.stack([crossing_depths(light, depth, width, FAINT_SHARE * middle) for light in each])
     sigma, alike = np.zeros(RAYS), np.zeros((0, RAYS))
@@ -167,6 +174,17 @@ def cross_limb(picture: BodyPicture, outline: Outline, reach_px: float, profiles
     return LimbCrossings(
         angle, away, at_limb & whole, known, changes, sigma, _noise_px(picture, noise, bright)
     )
+
+
+def _sky_beside(data: FloatArray, valid: BoolArray, most_dn: float) -> FloatArray:
+    """Return the light (n,) beside the limb, as the ends of rays (n, m) show it; more than the most is none of the sky."""
+    end = np.s_[:, -round(END_PX / RAY_STEP_PX) :]
+    level = data[end].mean(axis=1)
+    seen = valid[end].all(axis=1) & (level < most_dn)
+    if not seen.any():
+        return np.zeros(len(data))
+    level = np.where(seen, level, np.median(level[seen]))
+    return np.asarray(median_filter(level, SKY_RAYS, mode="wrap"))
 
 
 def _of_saturated(
@@ -309,6 +327,8 @@ def fit_crossings(
     relief_px: float,
     mean: FloatArray,
     near_px: float,
+    *,
+    far: bool = False,
 ) -> CrossingFit:
     """Fit center, size and strain to crossings, with weights that narrow from `near_px` on.
 
@@ -320,6 +340,8 @@ def fit_crossings(
         Scatter of the limb about its outline.
     mean : (3,) array
         Where the model has log size and strain, as changes of the outline.
+    far
+        Begin as well with weights as wide as most crossings are from the model's figure, if clearly more agree then.
     """
     moving = crossing_columns(crossings.angle_rad, outline)
     columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
@@ -344,19 +366,30 @@ def fit_crossings(
         residual[crossings.known] = offset - columns @ there
         return np.asarray(there)
 
-    solution, near = expected, near_px
-    for _ in range(NARROWINGS):
-        solution = solved(solution, near, near**2, widest)
-        near = max(0.5 * near, NEAREST_PX, relief_px)
+    def narrowed(near: float) -> FloatArray:
+        there = expected
+        for _ in range(NARROWINGS):
+            there = solved(there, near, near**2, widest)
+            near = max(0.5 * near, nearest)
+        return there
+
+    def support(there: FloatArray) -> float:
+        return float(weights(there, nearest).sum())
+
+    nearest, typical = max(NEAREST_PX, relief_px), float(np.median(np.abs(beyond)))
+    solution = narrowed(near_px)
+    if far and typical > near_px and support(wide := narrowed(typical)) > MORE_AGREE * support(solution):
+        solution = wide
+    residual[crossings.known] = offset - columns @ solution
     # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
     spread, alike = _scatter(residual)
     common = (1.0 + alike) / (1.0 - alike)
     variance = common * spread**2 + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
     each = variance + own
-    free = float(solved(solution, near, each, widest)[2])
-    solution = solved(solution, near, each, scales)
+    free = float(solved(solution, nearest, each, widest)[2])
+    solution = solved(solution, nearest, each, scales)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
-    kept = columns @ (solution - expected) + weights(solution, near) * residual[crossings.known]
+    kept = columns @ (solution - expected) + weights(solution, nearest) * residual[crossings.known]
     normal = columns.T @ (columns / each[:, None]) + np.diag(precision)
     mixed, alone = (
         mixed_solution(normal, columns.T @ (kept / each), one).covariance for one in (scales, widest)

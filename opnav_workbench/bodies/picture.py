@@ -10,6 +10,7 @@ Units  DN above the background, km, px
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,7 @@ def stated_psf_sigma(camera: Camera) -> float:
     return max(camera.psf.relative_sigma, MEASURED_PSF_SIGMA)
 
 
+NOISE_PIXELS = 4096  # that tell what is typical
 LOWEST_CUT = 0.1  # of the saturated pixels lie lower than the level: the picture's background is off them
 
 
@@ -211,6 +213,12 @@ class BodyPicture:
             return self.noise_model.gain_e_per_dn
         gain = self.camera.gain_e_per_dn
         return 1.0 if gain is None or not np.isfinite(gain) else float(gain)
+
+    @property
+    def typical_noise_dn(self) -> float:
+        """Median of the noise, which changes slowly over the picture: of pixels spread evenly over it."""
+        apart = max(isqrt(self.noise_dn.size // NOISE_PIXELS), 1)
+        return float(np.median(self.noise_dn[::apart, ::apart]))
 
     @property
     def shot_gain_e_per_dn(self) -> float:

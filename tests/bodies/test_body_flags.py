@@ -267,7 +267,7 @@ def test_joint_centers_of_bodies_apart(body_stage):
     assert np.abs(joint.correlation[:2, 4:]).max() < 0.05
 
 
-@pytest.mark.slow(keep=["find_cross_correlation"])
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", FINDERS)
 def test_one_body_before_another(body_stage, pair, finder):
     picture = body_stage.picture(

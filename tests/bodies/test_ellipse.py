@@ -117,6 +117,7 @@ def body_stage_axes(stage, place):
     return np.array([outline.radius_px.min(), outline.radius_px.max()])
 
 
+@pytest.mark.slow
 def test_local_albedo_does_not_move_the_limb(body_stage):
     """One side of the body half as bright as the other."""
     true = np.array([511.3, 511.8])

@@ -61,6 +61,7 @@ def test_near_its_expected_place_a_star_beside_it_changes_nothing(stars):
     assert np.hypot(*(center.pixel_line - trial.truth_px)) < 0.3
 
 
+@pytest.mark.slow
 def test_the_light_of_another_body_that_is_expected_there_is_not_taken_for_it():
     trial = make_trial(DISK)
     (model,) = trial.picture.models

@@ -95,7 +95,7 @@ def test_errors_over_sigma_of_many_trials(binned_stage, add_noise):
     check_trials(np.concatenate(results), 0.81, 1.19)
 
 
-@pytest.mark.slow(keep=["find_least_squares"])
+@pytest.mark.slow
 @pytest.mark.parametrize("finder", FINDERS)
 def test_body_far_from_its_prediction_is_found(body_stage, finder):
     """A 4500 km error of the barycenter at 2.5 million km: 0.98 radii away."""

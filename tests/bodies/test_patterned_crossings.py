@@ -11,7 +11,8 @@ from opnav_workbench.bodies.disk import problem
 from opnav_workbench.bodies.disk.measurement import alike, read_crossings
 from opnav_workbench.bodies.disk.starts import fit_disk
 
-# Centers that crossings doubted, 5 to 10 px beside at 4 to 12 of their sigmas: patches on the limb had drawn those.
+# Centers that crossings doubted, 5 to 10 px beside at 4 to 12 of their sigmas: patches on the limb had drawn those. Of the
+# first they do no longer, begun as far from the model's figure as they are.
 DOUBTED = {
     "258 px": TrialSetup(
         823866737, 257.976, 72.971, family="blobs_0.1", contrast=3.0, figure_error=0.0816,
@@ -24,11 +25,15 @@ DOUBTED = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def doubted():
-    """The disk of the first, measured."""
-    trial = make_trial(DOUBTED["258 px"])
+def measured(case):
+    trial = make_trial(DOUBTED[case])
     return measure_disk(trial.picture, trial.name, "disk", None, None)
+
+
+@pytest.fixture(scope="module")
+def patchy():
+    """The disk of the first, measured."""
+    return measured("258 px")
 
 
 @pytest.mark.slow
@@ -40,16 +45,16 @@ def test_patches_do_not_doubt_a_center_that_explains_them(case):
     assert center.status == "ok", center.messages
     assert np.hypot(*away) < 0.5
     assert away @ np.linalg.solve(center.covariance_px2, away) < 3.5**2
-    assert "patches" in center.second.method
+    assert ("patches" in center.second.method) == (case == "388 px")
     assert center.second.difference_sigmas < 3.5
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("away_px", [(2.5, 1.0), (0.3, -5.0), (-7.0, -2.0)])
-def test_an_albedo_does_not_confirm_a_fit_that_stands_elsewhere(doubted, away_px, monkeypatch):
+def test_an_albedo_does_not_confirm_a_fit_that_stands_elsewhere(patchy, away_px, monkeypatch):
     """Held there, with all the albedo that it likes."""
     monkeypatch.setattr(problem, "PLACE_PX", 0.05)
-    disk, fit = doubted, doubted.fit
+    disk, fit = patchy, patchy.fit
     place = replace(
         fit.place,
         center_px=fit.center_px + away_px,
@@ -65,8 +70,10 @@ def test_an_albedo_does_not_confirm_a_fit_that_stands_elsewhere(doubted, away_px
     assert not alike(held, read) or sigma > 0.3 * np.hypot(*away_px)
 
 
-def test_crossings_by_a_likelihoods_own_albedo_are_not_weighed_with_it(doubted):
+@pytest.mark.slow
+def test_crossings_by_a_likelihoods_own_albedo_are_not_weighed_with_it():
     """They are no other reading of the place, only of whether the picture has a limb where the fit has one."""
+    doubted = measured("388 px")
     crossing = doubted.crossing
     assert crossing.patterned
     assert np.hypot(*crossing.step_px) > 0.0

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disk_exam import draw
 from disk_truth import TrialSetup, make_trial
 from scipy.stats import norm
 
@@ -18,7 +19,7 @@ from opnav_workbench.render import FigureUncertainty, Lambert, LunarLambert
 TRUE = np.array([511.3, 511.8])
 
 
-@pytest.mark.slow(keep=["28.0-128.0-105.0-436"])
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("diameter", "phase", "peak", "tracks"),
     [(37.0, 124.0, 80.0, 484), (28.0, 128.0, 105.0, 436), (25.0, 60.0, 77.0, 356), (22.7, 121.4, 156.0, 285)],
@@ -83,6 +84,38 @@ def test_relief_does_not_change_a_figure(body_stage, arc, errors_px):
     assert np.sqrt(np.mean(errors[:, :2] ** 2)) < errors_px
     assert errors[:, 2].mean() < 4.0  # 2 of honest sigmas
     assert crossing_columns(angle, outline).shape == (len(angle), 5)
+
+
+@pytest.mark.parametrize("figure_log_size", [0.0, 0.1, -0.1])
+def test_crossings_tell_a_figure_that_is_far_from_the_models(body_stage, figure_log_size):
+    """400 px wide, the model 20 px beside the limb: weights that began about it, a pixel wide, led 15 px away."""
+    model = body_stage.body(400.0, 20.0, (512.0, 512.0))
+    outline = body_outline(body_stage.picture(np.zeros((1024, 1024)), [model]), "BODY")
+    angle, rng = np.radians(np.arange(1.0, 360.0, 2.0)), np.random.default_rng(4)
+    shift = np.array([0.8, -0.5, 0.0, 0.0, 0.0])
+    depth = crossing_columns(angle, outline) @ shift + np.repeat(rng.normal(scale=0.4, size=60), 3)
+    depth[rng.choice(len(angle), 12)] = 8.0  # neighbours' light, hits
+    known, none = np.ones(len(angle), dtype=bool), np.empty((len(angle), 0))
+    crossings = LimbCrossings(angle, depth, known, known, none, np.zeros(len(angle)), 0.0)
+    fit = fit_crossings(
+        crossings, outline, FigureUncertainty(), 0.5, np.array([figure_log_size, 0.0, 0.0]), 1.0, far=True
+    )
+    error = fit.step_px - shift[:2]
+    assert error @ np.linalg.solve(fit.covariance[:2, :2], error) < 3.5**2
+    assert np.hypot(*error) < 0.5
+    assert fit.log_size == pytest.approx(0.0, abs=0.003)
+    assert fit.relief_px < 0.7
+
+
+@pytest.mark.slow
+def test_a_patchy_disk_nine_percent_smaller_than_its_model_is_confirmed():
+    trial = make_trial(draw(9964, 79, "odd"))
+    assert trial.setup.figure_error * trial.setup.figure_pattern[0] < -0.08
+    center = find_disk(trial.picture, trial.name)
+    error = center.pixel_line - trial.truth_px
+    assert center.status == "ok", center.messages
+    assert error @ np.linalg.solve(center.covariance_px2, error) < 3.5**2
+    assert np.hypot(*error) < 0.3
 
 
 def test_saturation_is_an_unknown_of_a_place(body_stage):

@@ -25,7 +25,7 @@ def seen(request, body_stage):
     return stage.picture(light, [body], np.random.default_rng(8), offset_px=(4.0, -3.0))
 
 
-@pytest.mark.slow(keep=["0.05-find_disk", "0.05-find_limb_scan", "0.2-find_least_squares"])
+@pytest.mark.slow(keep=["0.05-find_limb_scan"])
 @pytest.mark.parametrize("find", FINDERS, ids=lambda find: find.__name__)
 def test_every_method_finds_a_disk_of_sharp_optics(seen, find):
     center = find(seen, "BODY")

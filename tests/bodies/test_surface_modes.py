@@ -27,7 +27,7 @@ def places(n, rng):
     )
 
 
-@pytest.mark.slow(keep=["2.0", "4.0"])
+@pytest.mark.slow(keep=["4.0"])
 @pytest.mark.parametrize("radius_px", [0.6, 2.0, 4.0])
 def test_modes_have_the_covariance_of_the_field_on_the_body(radius_px):
     """As far as they reach: what smooth weights make of the modes is what they make of the field itself."""

@@ -727,9 +727,8 @@ class Fitter:
 
 
 def _first_brightness(problem: DiskProblem, made: TabulatedDisk) -> float:
-    plane = problem.pixels
     near = problem.samples(made.outline(made.shape))
     model = near.side * made.light.at(near.places.angle_rad, near.places.depth_px, 1)[0]
     power = float(model @ model)
-    least = float(np.median(plane.noise_dn))
+    least = problem.picture.typical_noise_dn
     return max(float(model @ (near.side * near.data_dn)) / power, least) if power > 0.0 else least

@@ -388,7 +388,7 @@ def read_crossings(picture: BodyPicture, fit: DiskFit) -> CrossingFit | None:
         return None
     expected = -np.array([fit.shape.log_size, *fit.shape.strain[:2]])
     rough = fit.prior.rough_px
-    read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0)
+    read = fit_crossings(crossings, outline, fit.figure, rough, expected, 1.0, far=True)
     agree = alike(fit, read, EXPLAINED_SIGMAS)
     if read.relief_px == 0.0 and agree:
         return read
