@@ -4,6 +4,7 @@ import gc
 import os
 import pickle
 import shutil
+import signal
 import sys
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
@@ -44,6 +45,9 @@ def pytest_configure() -> None:
     # start have what pip brings.
     os.environ["OPNAV_ASTROMETRY"] = os.devnull
     sys.dont_write_bytecode = False
+    # A shell that runs tests in the background has them ignore Ctrl-C, and they the programs that they start and stop by it.
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -137,6 +137,7 @@ def test_center_carries_the_part_across(process, surface):
 # -- size ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_apparent_size_carries_the_rest(process):
     """The distance from the size alone, of a body that is the model's: 4347 km nearer, its sigma dozens of kilometers."""
     session, scenario = process("uniform")

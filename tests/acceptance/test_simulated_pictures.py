@@ -128,7 +128,7 @@ def test_figure_14_has_pluto_190_px_wide(truths):
 # -- processed blind -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(keep=["m7"])
+@pytest.mark.slow
 @pytest.mark.parametrize("name", READY)
 def test_processing_gives_back_the_truth(pictures, truths, tmp_path, name):
     """The pointing error that only the truth knows is found, within its own sigmas, and so are the bodies."""
@@ -326,7 +326,7 @@ def flux_dn(session: ImageSession, place: np.ndarray) -> float:
     return float(box.sum())
 
 
-@pytest.mark.slow(keep=["0449855932"])
+@pytest.mark.slow
 @pytest.mark.realdata
 @pytest.mark.parametrize("met", PROXIMA)
 def test_a_real_frame_made_again_is_like_the_real_one(data_dir, tmp_path, met):

@@ -55,7 +55,8 @@ def test_pictures_and_bodies_are_told_in_tables(file, tmp_path):
     assert (tmp_path / "out" / "second_log.png").is_file()
 
 
-@pytest.mark.parametrize("only", ["fc1", pytest.param("", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("only", ["fc1", ""])
 def test_what_is_simulated_is_solved_by_the_command_that_is_printed(only, tmp_path, monkeypatch):
     """A mission out of the box, its files bare of any geometry that its archive has not: no option is to be guessed."""
     monkeypatch.chdir(tmp_path)

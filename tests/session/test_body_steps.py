@@ -31,6 +31,7 @@ def _error(session, truth, name, method=None):
 # -- methods -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_large_disk_of_unknown_albedo_is_found_by_its_limb(near, resolved_truths):
     near.find_body("PLUTO")
     center = _center(near, "PLUTO")
@@ -107,7 +108,7 @@ def test_a_shape_model_is_trusted_more_than_an_ellipsoid(near, tmp_path):
         body_model(replace(near.context, mission=mission), near.inputs, "PLUTO")
 
 
-@pytest.mark.slow(keep=["cross_correlation", "limb_scan", "ellipse"])
+@pytest.mark.slow(keep=["limb_scan", "ellipse"])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_finds_pluto_and_says_so_in_the_result(near, resolved_truths, method):
     near.find_body("PLUTO", method)
