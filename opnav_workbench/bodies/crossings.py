@@ -1,6 +1,7 @@
 """Where rays from a place cross a body's limb: at half of the local brightness, whatever that is.
 
-Flow   place -> rays -> picture and model along them -> where each falls to half -> center, size and axes that fit best
+Flow   place -> rays -> picture, less what their ends show of the sky, and model along them -> where each falls to half ->
+       center, size and axes that fit best
 Frame  (pixel, line); distances along rays positive outward
 Units  px, DN
 
@@ -11,6 +12,7 @@ where it is: `opnav_workbench.bodies.flanks`.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, map_coordinates, median_filter
@@ -343,53 +345,33 @@ def fit_crossings(
     far
         Begin as well with weights as wide as most crossings are from the model's figure, if clearly more agree then.
     """
-    moving = crossing_columns(crossings.angle_rad, outline)
-    columns = np.concatenate([moving, crossings.changes], axis=1)[crossings.known]
-    offset = crossings.depth_px[crossings.known]
-    own = crossings.sigma_px[crossings.known] ** 2
-    uncertain = np.ones(crossings.changes.shape[1])
+    known, uncertain = crossings.known, np.ones(crossings.changes.shape[1])
+    columns = np.concatenate([crossing_columns(crossings.angle_rad, outline), crossings.changes], axis=1)[
+        known
+    ]
     precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
-    scales, widest = _figure_scales(figure, len(precision))
     expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
-    beyond = offset - columns @ expected
-    residual = np.full(len(crossings.angle_rad), np.nan)
-
-    def weights(solution: FloatArray, near: float) -> FloatArray:
-        return np.asarray((1.0 + ((offset - columns @ solution) / near) ** 2) ** -2.0)
-
-    def solved(
-        solution: FloatArray, near: float, variance: FloatArray | float, scales: FloatArray
-    ) -> FloatArray:
-        weight = weights(solution, near) / variance
-        normal = columns.T @ (columns * weight[:, None]) + np.diag(precision)
-        there = expected + mixed_solution(normal, columns.T @ (weight * beyond), scales).theta
-        residual[crossings.known] = offset - columns @ there
-        return np.asarray(there)
-
-    def narrowed(near: float) -> FloatArray:
-        there = expected
-        for _ in range(NARROWINGS):
-            there = solved(there, near, near**2, widest)
-            near = max(0.5 * near, nearest)
-        return there
-
-    def support(there: FloatArray) -> float:
-        return float(weights(there, nearest).sum())
-
-    nearest, typical = max(NEAREST_PX, relief_px), float(np.median(np.abs(beyond)))
-    solution = narrowed(near_px)
-    if far and typical > near_px and support(wide := narrowed(typical)) > MORE_AGREE * support(solution):
-        solution = wide
-    residual[crossings.known] = offset - columns @ solution
+    equations = _CrossingEquations(columns, crossings.depth_px[known], expected, precision)
+    scales, widest = _figure_scales(figure, len(precision))
+    nearest, typical = max(NEAREST_PX, relief_px), float(np.median(np.abs(equations.left(expected))))
+    solution = equations.narrowed(near_px, nearest, widest)
+    if far and typical > near_px:
+        wide = equations.narrowed(typical, nearest, widest)
+        agree, agree_wide = (float(equations.weights(each, nearest).sum()) for each in (solution, wide))
+        solution = wide if agree_wide > MORE_AGREE * agree else solution
+    residual = np.full(len(known), np.nan)
+    residual[known] = equations.left(solution)
     # Relief is no noise: neighbours along a limb share it, and the figure is changed only where many agree on it.
     spread, alike = _scatter(residual)
     common = (1.0 + alike) / (1.0 - alike)
     variance = common * spread**2 + 2.0 * RELIEF_RAD * RAYS / TURN * relief_px**2
+    own = crossings.sigma_px[known] ** 2
     each = variance + own
-    free = float(solved(solution, nearest, each, widest)[2])
-    solution = solved(solution, nearest, each, scales)
+    free = float(equations.solved(solution, nearest, each, widest)[2])
+    solution = equations.solved(solution, nearest, each, scales)
+    residual[known] = equations.left(solution)
     # Every crossing counts for the covariance, those far off as if they lay where their weights leave them.
-    kept = columns @ (solution - expected) + weights(solution, nearest) * residual[crossings.known]
+    kept = columns @ (solution - expected) + equations.weights(solution, nearest) * residual[known]
     normal = columns.T @ (columns / each[:, None]) + np.diag(precision)
     mixed, alone = (
         mixed_solution(normal, columns.T @ (kept / each), one).covariance for one in (scales, widest)
@@ -399,6 +381,40 @@ def fit_crossings(
     relief = float(np.sqrt(beyond_px2)), mixed[:2, :2] * (common * beyond_px2 / variance)
     center = solution[:2], float(solution[2]), solution[3:5], mixed[:5, :5]
     return CrossingFit(*center, residual, *relief, free, size_sigma)
+
+
+class _CrossingEquations(NamedTuple):
+    """What m crossings say of p unknowns: columns (m, p), offsets (m,); mean and precision (p,) of what is known of them."""
+
+    columns: FloatArray
+    offset: FloatArray
+    expected: FloatArray
+    precision: FloatArray
+
+    def left(self, solution: FloatArray) -> FloatArray:
+        """Return what a solution leaves of the offsets."""
+        return np.asarray(self.offset - self.columns @ solution)
+
+    def weights(self, solution: FloatArray, near: float) -> FloatArray:
+        """Return how much each counts: half or less, beyond `near` times 0.64 of a solution."""
+        return np.asarray((1.0 + (self.left(solution) / near) ** 2) ** -2.0)
+
+    def solved(
+        self, solution: FloatArray, near: float, variance: FloatArray | float, scales: FloatArray
+    ) -> FloatArray:
+        """Return the solution with the weights by another one."""
+        weight = self.weights(solution, near) / variance
+        normal = self.columns.T @ (self.columns * weight[:, None]) + np.diag(self.precision)
+        right = self.columns.T @ (weight * self.left(self.expected))
+        return np.asarray(self.expected + mixed_solution(normal, right, scales).theta)
+
+    def narrowed(self, near: float, nearest: float, scales: FloatArray) -> FloatArray:
+        """Return the solution with weights that narrow from the model's figure on."""
+        there = self.expected
+        for _ in range(NARROWINGS):
+            there = self.solved(there, near, near**2, scales)
+            near = max(0.5 * near, nearest)
+        return there
 
 
 def _figure_scales(figure: FigureUncertainty, unknowns: int) -> tuple[FloatArray, FloatArray]:

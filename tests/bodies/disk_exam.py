@@ -1,9 +1,9 @@
 """Centers of disks held beside the truth: ``python tests/bodies/disk_exam.py --trials 200 --seed 1 --method auto --jobs 2``.
 
-Draws pictures over size, phase, contrast, law, figure, PSF and displacement (`draw`), finds the body in each by one method
-(`run_method`) and prints tables. ``--out FILE.jsonl`` keeps a record a line as trials end, and goes on where it was left;
-``--only INDEX`` repeats one trial by itself, with everything that the method said of it; ``--tables FILE.jsonl`` prints the
-tables of a file again.
+Draws pictures over size, phase, contrast, law, figure, PSF and displacement (`draw`), disturbs them if asked
+(`disk_disturbances`), finds the body in each by one method (`run_method`) and prints tables. ``--out FILE.jsonl`` keeps a
+record a line as trials end, and goes on where it was left; ``--only INDEX`` repeats one trial by itself, with everything
+that the method said of it; ``--tables FILE.jsonl`` prints the tables of a file again.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from disk_bound import bound_px2, has_bound
+from disk_disturbances import DISTURBANCES, disturbed
 from disk_surfaces import BLOB_SIZES, FIELDS, LAWS, MAPS
 from disk_truth import TrialSetup, data_folder, make_trial
 
@@ -133,20 +134,22 @@ def run_method(picture, name, method):
     return getattr(bodies, finder)(picture, name)
 
 
-def examine(index, exam_seed, grid, method, find=run_method, bound=False):
+def examine(index, exam_seed, grid, method, find=run_method, bound=False, disturbance=None):
     """Return the record of one trial: its setup, what was found, how far that is from the truth, and from the bound."""
     setup = draw(exam_seed, index, grid)
     start = time.process_time()
     trial = make_trial(setup)
+    picture = trial.picture if disturbance is None else disturbed(trial, disturbance)
     drawn = time.process_time()
-    record = {"index": index, "exam_seed": exam_seed, "grid": grid, "method": method, **asdict(setup)}
+    record = {"index": index, "exam_seed": exam_seed, "grid": grid, "method": method}
+    record |= {"disturbance": disturbance, **asdict(setup)}
     record |= {
         "truth_px": trial.truth_px.tolist(),
         "limb_snr": trial.limb_snr,
         "limb_share": trial.limb_share,
     }
     try:
-        center = find(trial.picture, trial.name, method)
+        center = find(picture, trial.name, method)
         record |= _said(center, trial.truth_px)
     except Exception as error:
         record |= {"status": "raised", "messages": [repr(error), traceback.format_exc(limit=-3)]}
@@ -171,18 +174,18 @@ def _said(center, truth_px):
     return said
 
 
-def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False, kept=None):
+def run(trials, seed, method, grid="full", jobs=1, find=run_method, bound=False, disturbance=None, kept=None):
     """Return the records of trials 0 to `trials` - 1, or of those listed.
 
     In `kept`, a file of lines, each is as soon as it is there, and those that are there already are not run again.
     """
     numbers = range(trials) if isinstance(trials, int) else trials
-    one = partial(examine, exam_seed=seed, grid=grid, method=method, find=find, bound=bound)
+    exam = {"exam_seed": seed, "grid": grid, "method": method, "disturbance": disturbance}
+    one = partial(examine, **exam, find=find, bound=bound)
     if kept is None:
         return list(_each(one, numbers, jobs))
     records = {record["index"]: record for record in read_records(kept)} if kept.exists() else {}
-    exam = {"exam_seed": seed, "grid": grid, "method": method}
-    if any(record[key] != value for record in records.values() for key, value in exam.items()):
+    if any(record.get(key) != value for record in records.values() for key, value in exam.items()):
         raise SystemExit(f"{kept} holds another exam: name another file")
     with kept.open("a", encoding="utf-8") as file:
         for record in _each(one, [number for number in numbers if number not in records], jobs):
@@ -344,6 +347,7 @@ def main():
     parser.add_argument("--grid", choices=sorted(GRIDS), default="full")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--bound", action="store_true", help="compute the bound too, some 10 s a field")
+    parser.add_argument("--disturbed", choices=DISTURBANCES, metavar="HOW", help=", ".join(DISTURBANCES))
     parser.add_argument("--only", type=int, nargs="+", metavar="INDEX")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--tables", type=Path)
@@ -351,7 +355,16 @@ def main():
     if a.tables:
         report(read_records(a.tables))
         return
-    records = run(a.only or a.trials, a.seed, a.method, a.grid, a.jobs, bound=a.bound, kept=a.out)
+    records = run(
+        a.only or a.trials,
+        a.seed,
+        a.method,
+        a.grid,
+        a.jobs,
+        bound=a.bound,
+        disturbance=a.disturbed,
+        kept=a.out,
+    )
     if a.only:
         _print(*(json.dumps(r, indent=1) for r in records))
     else:

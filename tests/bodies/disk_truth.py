@@ -127,7 +127,7 @@ def make_trial(setup):
     light, ring, lit = draw_light(body, camera, truth, setup.diameter_px, core, share)
     scale = setup.peak_dn / _bright(light, lit)
     light *= scale
-    data, saturated = _exposed(light, setup, noises)
+    data, saturated = exposed(light, setup, noises)
     target = TargetState(
         NAME,
         toward_place(camera, believed) * distance,
@@ -406,7 +406,7 @@ def noise_dn(signal_dn):
     return np.sqrt(READ_NOISE_DN**2 + np.maximum(signal_dn, 0.0) / GAIN_E_PER_DN)
 
 
-def _exposed(light_dn, setup, rng):
+def exposed(light_dn, setup, rng):
     """The picture with shot noise, read noise, what is left of the background and cosmic rays; and its saturated pixels."""
     data = light_dn.copy()
     lit = data > 0.0

@@ -1,0 +1,32 @@
+"""Disks in pictures that have what no model has; `disk_exam.py --disturbed` holds more of each."""
+
+import numpy as np
+import pytest
+from disk_disturbances import DISTURBANCES, disturbed
+from disk_exam import draw, error_over_sigma, fair, is_false, is_ok, run
+from disk_truth import TrialSetup, make_trial
+
+SEED = 9710
+
+
+@pytest.mark.parametrize("name", [name for name in DISTURBANCES if name not in ("nothing", "level")])
+def test_a_disturbance_disturbs(name):
+    """Each changes the picture by more than its noise, and leaves what is believed of the body as it is."""
+    trial = make_trial(TrialSetup(3, 60.0, 50.0, peak_dn=1000.0))
+    picture = disturbed(trial, name)
+    change = picture.signal_dn - disturbed(trial, "nothing").signal_dn
+    assert np.isfinite(picture.signal_dn).all()
+    assert np.abs(change).max() > 5.0 * trial.picture.typical_noise_dn
+    np.testing.assert_array_equal(picture.center_px(trial.name), trial.picture.center_px(trial.name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("disturbance", ["level", "gradient", "stripes", "lost_lines"])
+def test_centers_hold_in_disturbed_pictures(disturbance):
+    numbers = [i for i in range(12) if 8.0 < draw(SEED, i).diameter_px < 200.0][:5]
+    records = run(numbers, SEED, "auto", disturbance=disturbance)
+    asked = [record for record in records if fair(record)]
+    assert len(asked) > 2
+    assert np.mean([is_ok(record) for record in asked]) >= 0.8
+    assert not any(is_false(record) for record in records)
+    assert error_over_sigma([record for record in records if is_ok(record)]) < 2.0
