@@ -9,6 +9,7 @@ from disk_truth import TrialSetup, make_trial
 SEED = 9710
 
 
+@pytest.mark.slow(keep=["gradient", "stripes"])
 @pytest.mark.parametrize("name", [name for name in DISTURBANCES if name not in ("nothing", "level")])
 def test_a_disturbance_disturbs(name):
     """Each changes the picture by more than its noise, and leaves what is believed of the body as it is."""

@@ -36,7 +36,8 @@ def lit(trial, sky):
     return replace(trial.picture, signal_dn=trial.picture.signal_dn + sky(trial, away_px))
 
 
-@pytest.mark.parametrize("sky", [level, pytest.param(slope, marks=pytest.mark.slow), coma])
+@pytest.mark.slow(keep=["level"])
+@pytest.mark.parametrize("sky", [level, slope, coma])
 def test_a_place_is_where_the_limb_ends_at_the_sky_and_not_at_zero(sky):
     """Crossings that took the sky for dark led away from where the silhouette was found."""
     trial = make_trial(DISK)

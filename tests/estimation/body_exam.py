@@ -30,9 +30,9 @@ from disk_truth import (
     TrialSetup,
     TrueBody,
     _bright,
-    _exposed,
     data_folder,
     draw_light,
+    exposed,
     lorri,
     toward_place,
 )  # fmt: skip
@@ -135,7 +135,7 @@ def _picture(k, et, position, diameter, camera, radii, rotation, sun, law, phase
     scaled = diameter * RADIUS_KM / np.cbrt(np.prod(radii))  # the truth draws in units of its own body
     light, _, lit = draw_light(true, camera, place, scaled, 0.8 * psf_error, 0.0)
     light *= setup.peak_dn / _bright(light, lit)
-    data, saturated = _exposed(light, setup, random)
+    data, saturated = exposed(light, setup, random)
     eps = random.normal(size=3) * ATTITUDE_SIGMA_PX * camera.pixel_scale_rad * np.array([1.0, 1.0, 30.0])
     covariance = np.diag((ATTITUDE_SIGMA_PX * camera.pixel_scale_rad * np.array([1.0, 1.0, 30.0])) ** 2)
     attitude = rotation_from_vector(-eps) @ ATTITUDE @ there
