@@ -346,9 +346,8 @@ def fit_crossings(
         Begin as well with weights as wide as most crossings are from the model's figure, if clearly more agree then.
     """
     known, uncertain = crossings.known, np.ones(crossings.changes.shape[1])
-    columns = np.concatenate([crossing_columns(crossings.angle_rad, outline), crossings.changes], axis=1)[
-        known
-    ]
+    moving = crossing_columns(crossings.angle_rad, outline)
+    columns = np.concatenate([moving, crossings.changes], axis=1)[known]
     precision = np.concatenate([[1e-9, 1e-9, 0.0, 0.0, 0.0], uncertain])
     expected = np.concatenate([[0.0, 0.0], mean, 0.0 * uncertain])
     equations = _CrossingEquations(columns, crossings.depth_px[known], expected, precision)

@@ -17,6 +17,7 @@ from opnav_workbench.image import sky_and_bodies
 from opnav_workbench.image.background import pixel_noise
 
 BIAS_DN = 100.0
+SKY_SHARE = 0.05  # of the brightest parts: light that is left in the sky
 EDGE_PX = 0.8  # of what is drawn here, before the pixels
 SMALLEST_BODY_PX = 4.0
 RIM_PX = np.array([2.0, 3.0, 4.0])
@@ -25,13 +26,13 @@ RIM_PX = np.array([2.0, 3.0, 4.0])
 def disturbed(trial, name):
     """Return the picture of a trial, disturbed."""
     setup, rng = trial.setup, np.random.default_rng([trial.setup.seed, *name.encode()])
-    changed = DISTURBANCES[name]
-    if changed in OF_DATA:
+    disturb = DISTURBANCES[name]
+    if disturb in OF_DATA:
         data, saturated = exposed(trial.light_dn, setup, rng)
-        data = changed(data, trial, rng)
+        data = disturb(data, trial, rng)
     else:
-        data, saturated = exposed(changed(trial.light_dn.copy(), trial, rng), setup, rng)
-    if changed is level:  # left in the picture
+        data, saturated = exposed(disturb(trial.light_dn.copy(), trial, rng), setup, rng)
+    if disturb is level:  # left in the picture
         return replace(trial.picture, signal_dn=data, saturated=saturated)
     data = data + BIAS_DN
     sky, _ = sky_and_bodies(
@@ -44,7 +45,7 @@ def disturbed(trial, name):
 # ---- Where things are.
 
 
-def _away(trial):
+def away_px(trial):
     """Pixels from the center (2, n_line, n_pixel), along pixel and line."""
     shape = trial.light_dn.shape
     return np.mgrid[: shape[0], : shape[1]][::-1] - trial.truth_px[:, None, None]
@@ -57,13 +58,13 @@ def _depth(trial):
     place = toward_place(lorri(), trial.truth_px) * np.linalg.norm(target.position_km)
     true = replace(target, position_km=place, radii_km=trial.body.axes_km)
     outline = body_outline(trial.picture.with_model(replace(model, target=true)), trial.name)
-    away = _away(trial)
+    away = away_px(trial)
     angle = np.arctan2(away[1], away[0])
     return outline.radius(angle.ravel()).reshape(angle.shape) - np.hypot(*away), angle, outline
 
 
 def _disk(trial, center_px, radius_px, edge_px=EDGE_PX):
-    away = np.hypot(*(_away(trial) + (trial.truth_px - center_px)[:, None, None]))
+    away = np.hypot(*(away_px(trial) + (trial.truth_px - center_px)[:, None, None]))
     return gaussian_filter((away < radius_px).astype(float), edge_px)
 
 
@@ -82,7 +83,7 @@ def nothing(light, _trial, _rng):
 
 def level(light, trial, _rng):
     """Light that nobody has taken off."""
-    return light + 0.05 * trial.setup.peak_dn
+    return light + SKY_SHARE * trial.setup.peak_dn
 
 
 def gradient(light, trial, rng):
@@ -100,9 +101,9 @@ def clouds(light, _trial, rng):
 
 def coma(light, trial, rng):
     """Dust about a nucleus: falls with the distance, brighter on one side."""
-    away, radius = _away(trial), 0.5 * trial.setup.diameter_px
+    away, radius = away_px(trial), 0.5 * trial.setup.diameter_px
     side = 1.0 + 0.5 * np.cos(np.arctan2(away[1], away[0]) - rng.uniform(0.0, 2.0 * np.pi))
-    return light + 0.05 * trial.setup.peak_dn * side * radius / np.maximum(np.hypot(*away), radius)
+    return light + SKY_SHARE * trial.setup.peak_dn * side * radius / np.maximum(np.hypot(*away), radius)
 
 
 def haze(light, trial, _rng):

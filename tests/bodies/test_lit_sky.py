@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disk_disturbances import SKY_SHARE, away_px, level
 from disk_truth import TrialSetup, make_trial
 
 from opnav_workbench.bodies import find_disk
@@ -11,29 +12,23 @@ from opnav_workbench.bodies.disk.measurement import with_true_sky
 from opnav_workbench.bodies.place import find_place
 
 DISK = TrialSetup(5, 140.0, 58.0, family="blobs_0.35", contrast=3.0, displacement_px=20.0, peak_dn=400.0)
-SHARE = 0.05  # of the brightest parts
 
 
-def level(trial, _):
-    return SHARE * trial.setup.peak_dn
-
-
-def slope(trial, away_px):
+def slope(light, trial, _):
     """Of a straylight gradient: zero in one corner of the frame, twice the share in the other."""
-    return SHARE * trial.setup.peak_dn * (1.0 + (away_px[0] + 0.4 * away_px[1]) / 1000.0)
+    away = away_px(trial)
+    return light + SKY_SHARE * trial.setup.peak_dn * (1.0 + (away[0] + 0.4 * away[1]) / 1000.0)
 
 
-def coma(trial, away_px):
+def coma(light, trial, _):
     """Falls with the distance, twice the share on one side and none of it on the other at the limb."""
-    radius, distance = 0.5 * trial.setup.diameter_px, np.hypot(*away_px)
-    side = 1.0 + away_px[0] / np.maximum(distance, radius)
-    return SHARE * trial.setup.peak_dn * side * radius / np.maximum(distance, radius)
+    away, radius = away_px(trial), 0.5 * trial.setup.diameter_px
+    distance = np.maximum(np.hypot(*away), radius)
+    return light + SKY_SHARE * trial.setup.peak_dn * (1.0 + away[0] / distance) * radius / distance
 
 
 def lit(trial, sky):
-    shape = trial.picture.signal_dn.shape
-    away_px = np.mgrid[: shape[0], : shape[1]][::-1] - trial.truth_px[:, None, None]
-    return replace(trial.picture, signal_dn=trial.picture.signal_dn + sky(trial, away_px))
+    return replace(trial.picture, signal_dn=sky(trial.picture.signal_dn, trial, None))
 
 
 @pytest.mark.slow(keep=["level"])
