@@ -174,17 +174,22 @@ class Fitter:
         self.refused: DiskShape | None = None  # of which no tables were likelier than the last
         self.wandered_px, self.unrest_px2 = np.zeros(2), np.zeros((2, 2))
         if isinstance(start, DiskFit):
-            self.shape, self.prior, self.made = start.shape, start.prior, start.made
+            self.shape, self.tuned, self.made = start.shape, start.prior, start.made
             self.brightness = start.brightness_dn
             self.piece_albedo = start.piece_albedo
             self.tunings = 0
             return
         self.tunings = COARSE_TUNINGS
         self.shape = start
-        self.prior = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
+        self.tuned = FieldPrior(0.15, 0.5, 0.02, problem.rough_px)
         self.made = problem.tabulated(start)
         self.brightness = _first_brightness(problem, self.made)
         self.piece_albedo = np.ones(problem.pieces)
+
+    @property
+    def prior(self) -> FieldPrior:
+        """The prior that the data speak for, with cells as uneven as slopes of the relief leave them."""
+        return self.tuned.with_slopes(self.problem.radius_px)
 
     @property
     def is_nearly_even(self) -> bool:
@@ -203,7 +208,7 @@ class Fitter:
 
     def is_likelier(self, settled: "Fitter") -> bool:
         """Tell whether the light that this fit begins with explains more than that of another one, with its prior."""
-        self.prior = settled.prior
+        self.tuned = settled.tuned
         self._solve()
         self._reweigh()
         return self.log_likelihood > settled.log_likelihood
@@ -350,21 +355,20 @@ class Fitter:
         self._doubt()
         best, system = self._tuned(), self.linear.system
         if other_light and _is_uneven(best.prior):  # else there is nothing to explain
-            kept, self.prior = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
+            kept, self.tuned = self.linear, replace(best.prior, on_slopes=not best.prior.on_slopes)
             self._solve()
             other = self._tuned()
             if other.cost < best.cost:
                 best, system = other, self.linear.system
             else:
                 self.linear = kept
-        self.prior = best.prior
+        self.tuned = best.prior
         self.linear = self.linear._replace(solution=self._solution(system))
         self.tables_likelihood += self.log_likelihood - before
 
     def _tuned(self) -> TunedPrior:
         problem = self.problem
-        found = tuned(self.linear.system, self.prior, problem.rough_px, float(problem.hemispheres.min()))
-        return found._replace(prior=found.prior.with_slopes(problem.radius_px))
+        return tuned(self.linear.system, self.tuned, problem.rough_px, float(problem.hemispheres.min()))
 
     def _over_hemispheres(self) -> MarginalSolution:
         """Return the solution, its covariance over all that hemispheres may differ by, as likely as the data have each."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.limb_field import FieldPrior
-from opnav_workbench.bodies.disk.marginal import LimbSystem
+from opnav_workbench.bodies.disk.marginal import Ascent, LimbSystem
 
 __all__ = ["TunedPrior", "tuned"]
 
@@ -24,6 +24,7 @@ LONGEST = np.array([1.2, 1.2, 1.2, 1.2, 5.0])  # of the last there is little to 
 IS_SIGMA = np.array([True, False, True, True, True])
 ENOUGH = 0.1  # of a likelihood's logarithm
 MOST_HALVINGS = 4
+TINY = 1e-9
 
 
 class TunedPrior(NamedTuple):
@@ -56,9 +57,8 @@ def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, least_hemisphe
         ascent = system.ascent(prior, system.weighed(prior.grain))
         away = (x - usual) / VARIETY
         cost = 0.5 * float(away @ away) - ascent.log_likelihood
-        # A variance's second derivative by its logarithm is what the first one is: where the likelihood falls, it bends so.
-        bend = np.where(IS_SIGMA, np.maximum(-2.0 * ascent.gradient, 0.0), 0.0) + VARIETY**-2.0
-        return _Slope(cost, away / VARIETY - ascent.gradient, ascent.information + np.diag(bend))
+        curvature = ascent.information + np.diag(_bend(ascent) + VARIETY**-2.0)
+        return _Slope(cost, away / VARIETY - ascent.gradient, curvature)
 
     x = np.clip(start.logarithms(), *bounds)
     here = slope(x)
@@ -76,6 +76,17 @@ def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, least_hemisphe
             break
         x, here = there, other
     return TunedPrior(FieldPrior.from_logarithms(x, on_slopes=start.on_slopes), here.cost)
+
+
+def _bend(ascent: Ascent) -> FloatArray:
+    """Return the curvature (5,) beyond the information with which a step from a sigma that is too large ends where it is right.
+
+    With n data of a mean square m over a sigma's, the likelihood's slope by its logarithm is n (m - 1), its information
+    2 n m, and it is too large by -log(m) / 2.
+    """
+    information = np.maximum(np.diag(ascent.information), TINY)
+    over = np.where(IS_SIGMA, np.maximum(-2.0 * ascent.gradient / information, TINY), TINY)
+    return np.asarray(information * (over / np.log1p(over) - 1.0))
 
 
 def _step(here: _Slope, x: FloatArray, bounds: FloatArray) -> FloatArray:
