@@ -79,7 +79,7 @@ def tuned(system: LimbSystem, start: FieldPrior, rough_px: float, least_hemisphe
 
 
 def _bend(ascent: Ascent) -> FloatArray:
-    """Return the curvature (5,) beyond the information with which a step from a sigma that is too large ends where it is right.
+    """Return the curvature (5,) beyond the information with which a sigma that is too large becomes right in a step.
 
     With n data of a mean square m over a sigma's, the likelihood's slope by its logarithm is n (m - 1), its information
     2 n m, and it is too large by -log(m) / 2.
