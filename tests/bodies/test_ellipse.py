@@ -69,7 +69,7 @@ def test_sigma_holds_noise_and_size(binned_stage, add_noise, sample, diameter, p
     light = binned_stage.brute_force(model, (127 - half, 127 - half, 2 * half + 2, 2 * half + 2), 32)
     width = body_outline(binned_stage.picture(light, [model]), "BODY").diameter_px
     rng, squares, sizes = np.random.default_rng(5), [], []
-    for _ in range(sample.trials(20)):
+    for _ in range(sample.trials(12)):
         data = add_noise(700.0 * light, rng)  # the brightest pixel has 110 sigma
         picture = binned_stage.picture(light, [model], data=data, offset_px=rng.uniform(-2.0, 2.0, 2))
         found = find_ellipse(picture, "BODY")

@@ -42,7 +42,7 @@ class Command:
 
     line: str
     files: tuple[str, ...] = ()
-    inputs: int = 30  # of a run; fewer where one takes longer
+    inputs: int = 20  # of a run; fewer where one takes longer
     status: int = 0  # of the command as it stands
 
     def arguments(self, file: str) -> list[str]:
