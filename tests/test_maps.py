@@ -85,6 +85,7 @@ def test_circles_are_found_where_they_are():
     assert house.longest_chain(graph) == ["a", "b", "c", "d"]
 
 
+@pytest.mark.slow
 def test_chain_of_imports_stays_short():
     found, graph = imports_of_the_package()
     assert len(house.longest_chain(house.between_modules(graph, found))) <= LONGEST_CHAIN

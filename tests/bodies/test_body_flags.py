@@ -64,6 +64,7 @@ def test_wrong_radius(body_stage, finder, factor):
     assert within_sigmas(found)
 
 
+@pytest.mark.slow(keep=["0.1"])
 @pytest.mark.parametrize("size_sigma", [0.1, 0.005])
 def test_known_surface_of_another_size(body_stage, size_sigma):
     """Where the disk is not asked, the crossings of its limb tell the size; the center goes with the model's."""
@@ -128,6 +129,7 @@ def test_off_the_detector(body_stage, finder):
     assert "off the 1024 x 1024 detector" in found.messages[0]
 
 
+@pytest.mark.slow(keep=["find_least_squares"])
 @pytest.mark.parametrize("finder", FINDERS)
 def test_saturated(body_stage, finder):
     model, rng = body_stage.body(60.0, 40.0, TRUE), np.random.default_rng(6)

@@ -196,6 +196,7 @@ def test_slopes_of_a_surface_shine_beyond_its_terminator(body_stage):
     assert relief[:, -1].max() < 1e-2  # not in the sky
 
 
+@pytest.mark.slow
 def test_fits_that_lie_apart_are_compared_over_the_same_pixels():
     """A strip beside the limb is explained as easily as the limb: by its own measure a wrong fit may look better."""
     trial = make_trial(draw(701, 3, "small"))

@@ -58,6 +58,7 @@ def cells(fit):
     return DenseCells(fit)
 
 
+@pytest.mark.slow(keep=["6.0"])
 def test_scores_are_those_of_dense_algebra(fit, cells):
     data, columns = cells.system.data[cells.used], cells.columns
     inverse = np.linalg.inv(cells.covariance)

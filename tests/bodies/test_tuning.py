@@ -26,6 +26,7 @@ def likelihood(system, logarithms):
     return system.log_likelihood(prior, system.weighed(prior.grain))
 
 
+@pytest.mark.slow(keep=["tiny-prior0", "tiny-prior1"])
 @pytest.mark.parametrize(
     "prior", [FieldPrior(0.3, 0.4, 0.05, 0.02), FieldPrior(0.05, 0.2, 0.01, 0.3, hemispheres=0.1)]
 )

@@ -27,6 +27,7 @@ def moved(disk, by_px, *, covariance_px2=None, **fit):
     )
 
 
+@pytest.mark.slow
 def test_readings_that_agree_are_weighed_by_what_they_know(disk):
     away = np.array([0.2, -0.1])
     both = judged_disk(moved(disk, away))

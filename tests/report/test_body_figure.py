@@ -281,6 +281,7 @@ def test_session_gives_prediction_limb_and_circle(session, words, tmp_path):
     session.undo()
 
 
+@pytest.mark.slow
 def test_methods_of_a_session_are_those_it_has(session):
     labels = methods_figure(session).legends[0].get_texts()
     assert [text.get_text().split(" (")[0] for text in labels] == ["cross-correlation", "least squares"]

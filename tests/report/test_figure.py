@@ -74,6 +74,7 @@ def test_summary_shows_the_processed_frame(processed, tmp_path, camera):
     assert [p.name for p in path.parent.iterdir()] == ["summary.png"]
 
 
+@pytest.mark.slow
 def test_title_and_plots_hold_the_solution(processed):
     session = processed[0]
     drawn = summary_figure(session)

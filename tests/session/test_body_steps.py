@@ -123,6 +123,7 @@ def test_every_method_finds_pluto_and_says_so_in_the_result(near, resolved_truth
     assert body["range_km"] == pytest.approx(2.533e6, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_solved_range_and_its_diameter_stand_in_result_and_table(near):
     near.find_body("PLUTO", "least_squares", solve_range=True)
     table = near.observables()

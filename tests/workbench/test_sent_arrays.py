@@ -45,6 +45,7 @@ def test_what_is_no_number_does_not_count():
     np.testing.assert_array_equal(means, [[2.0, np.nan]])
 
 
+@pytest.mark.slow
 def test_an_array_lives_as_long_as_it_is_needed():
     store = ArrayStore()
     sent = store.put(np.zeros((4, 4)))
@@ -77,6 +78,7 @@ def test_a_page_is_given_what_it_lacks_and_told_what_is_gone(solved_sessions):
     assert sent[0][1] == []
 
 
+@pytest.mark.slow
 def test_neighbors_go_ahead_as_far_as_a_page_may_hold_them(solved_sessions, monkeypatch):
     first, second = solved_sessions
     view = ImageView(first)
