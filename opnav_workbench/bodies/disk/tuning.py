@@ -19,10 +19,10 @@ VARIETY = np.array([1.5, 0.8, 1.5, 1.2, np.inf])
 WIDEST = 3.0
 # No surface is more even than the least of contrast and grain, and no law of it truer over half a radian; none is wilder.
 LEAST, MOST = np.log([0.003, 0.08, 0.001]), np.log([0.9, 0.7, 0.25])
-MOST_STEPS = 8
+MOST_STEPS = 12
 LONGEST = np.array([1.2, 1.2, 1.2, 1.2, 5.0])  # of the last there is little to see, and no farther to go
 IS_SIGMA = np.array([True, False, True, True, True])
-ENOUGH = 0.1  # of a likelihood's logarithm
+ENOUGH = 0.02  # of a likelihood's logarithm
 MOST_HALVINGS = 4
 TINY = 1e-9
 
