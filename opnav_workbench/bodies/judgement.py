@@ -247,7 +247,7 @@ def _flags(disk: MeasuredDisk, reading: CenterReading) -> BodyFlag:
         BodyFlag.CIRCLE_MISFIT: is_other_size(
             reading.log_size, reading.log_size_sigma, fit.figure.size_sigma
         ),
-        BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2,
+        BodyFlag.POOR_FIT: fit.chi2_reduced > POOR_CHI2 and not _holds_beside_other_light(disk, reading),
         BodyFlag.AT_LIMIT: left_search(away, disk.radius_px, disk.circle, disk.search_px),
         BodyFlag.EMPTY: fit.lit_share < LEAST_LIT,
         BodyFlag.NOT_CONVERGED: not (reading.converged or _confirmed(disk, reading)),
@@ -327,6 +327,16 @@ def _confirmed(disk: MeasuredDisk, reading: CenterReading) -> bool:
     if second is None:
         return False
     return same_center(second.pixel_line - reading.center_px, second.difference_sigmas)
+
+
+def _holds_beside_other_light(disk: MeasuredDisk, reading: CenterReading) -> bool:
+    """Tell whether a center may be believed of a picture that has light which no model has.
+
+    That light is in its sigmas as far as cells show it, and the limb has to be where the fit has it: by crossings that know
+    nothing of the fitted albedo, for that takes such light for its own.
+    """
+    crossing = disk.crossing
+    return crossing is not None and not crossing.patterned and _confirmed(disk, reading)
 
 
 def _notes(disk: MeasuredDisk, reading: CenterReading) -> dict[BodyFlag, str]:

@@ -1,10 +1,15 @@
 """Disks in pictures that have what no model has; `disk_exam.py --disturbed` holds more of each."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from disk_disturbances import DISTURBANCES, OF_DATA, disturbed
 from disk_exam import draw, error_over_sigma, fair, is_false, is_ok, run
 from disk_truth import TrialSetup, make_trial
+
+from opnav_workbench.bodies import BodyFlag, judged_disk, measure_disk
+from opnav_workbench.bodies.judgement import POOR_CHI2
 
 SEED = 9710
 
@@ -33,3 +38,22 @@ def test_centers_hold_in_disturbed_pictures(disturbance):
     assert np.mean([is_ok(record) for record in asked]) >= 0.8
     assert not any(is_false(record) for record in records)
     assert error_over_sigma([record for record in records if is_ok(record)]) < 2.0
+
+
+@pytest.mark.slow(keep=["planetshine"])
+@pytest.mark.parametrize(("disturbance", "phase"), [("planetshine", 95.0), ("coma", 100.0)])
+def test_light_of_no_model_is_doubted_where_the_limb_does_not_confirm_the_center(disturbance, phase):
+    """Night that shines, and air that does: chi-squared of 5 to 17, and a center that is right."""
+    trial = make_trial(TrialSetup(3, 60.0, phase, peak_dn=2000.0))
+    disk = measure_disk(disturbed(trial, disturbance), trial.name, "disk", None, None)
+    assert disk.fit.chi2_reduced > 2.0 * POOR_CHI2
+    center = judged_disk(disk)
+    assert center.status == "ok", center.messages
+    off = center.pixel_line - trial.truth_px
+    assert off @ np.linalg.solve(center.covariance_px2, off) < 9.0
+    assert np.hypot(*off) < 0.2
+    beside = replace(disk.crossing, step_px=disk.crossing.step_px + 20.0)
+    for crossing in (None, beside, replace(disk.crossing, patterned=True)):
+        doubted = judged_disk(replace(disk, crossing=crossing))
+        assert doubted.flags & BodyFlag.POOR_FIT
+        assert doubted.status == "uncertain"
