@@ -22,6 +22,8 @@ Enter by `read_image` for a file, by `sky_and_bodies` or `estimate_background` f
     What the bits of quality planes mean, as data.
 ``background``
     Level and noise of the sky, robust against stars and a resolved body; columns that a frame-transfer CCD smears.
+``readout_smear``
+    What bodies leave along their columns while a frame-transfer CCD is read out.
 ``extended``
     Where the light of resolved bodies covers the picture.
 ``picture_files``

@@ -5,6 +5,8 @@ Flow   picture less background -> pixels far above the noise -> of these, areas 
 A star's light falls off so steeply that what has a tenth of its peak is a few pixels wide; a body's lit disk is not.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
@@ -12,6 +14,7 @@ from scipy import ndimage
 from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
 from opnav_workbench.image.background import Background, estimate_background
+from opnav_workbench.image.readout_smear import readout_smear
 
 __all__ = ["extended_light", "sky_and_bodies"]
 
@@ -38,6 +41,8 @@ def sky_and_bodies(
 ) -> tuple[Background, BoolArray]:
     """Return the sky's background, undisturbed by resolved bodies, and where their light lies.
 
+    What bodies leave along their columns in a readout without a shutter (`readout_smear`) is sky.
+
     Parameters
     ----------
     image_dn : (n_line, n_pixel) array
@@ -50,6 +55,23 @@ def sky_and_bodies(
     ImageError
         As `estimate_background`.
     """
+    background, extended = _without_smear(
+        image_dn, bad, saturated, radius_px=radius_px, psf_sigma_px=psf_sigma_px
+    )
+    noise_dn = float(np.median(background.noise_dn))
+    smear = readout_smear(image_dn, bad | saturated, noise_dn) if extended.any() else None
+    if smear is None:
+        return background, extended
+    background, extended = _without_smear(
+        image_dn - smear, bad, saturated, radius_px=radius_px, psf_sigma_px=psf_sigma_px
+    )
+    return replace(background, level_dn=background.level_dn + smear), extended
+
+
+def _without_smear(
+    image_dn: FloatArray, bad: BoolArray, saturated: BoolArray, *, radius_px: float, psf_sigma_px: float
+) -> tuple[Background, BoolArray]:
+    """Return what `sky_and_bodies` does of a picture that was not smeared."""
     masked = bad | saturated
 
     def bodies(level: FloatArray | float, noise: FloatArray | float) -> BoolArray:

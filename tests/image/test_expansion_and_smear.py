@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from opnav_workbench.errors import ImageError
-from opnav_workbench.image import KeywordMap, column_level
+from opnav_workbench.image import KeywordMap, column_level, sky_and_bodies
 from opnav_workbench.image.header import Header
 from opnav_workbench.image.planes import expanded
+from opnav_workbench.image.readout_smear import readout_smear
 from opnav_workbench.mission import load_mission
 
 KEYWORDS = KeywordMap(expansion_keyword="HOW", expansion={"TABLE": [0.0, 1.0, 4.0, 9.0]})
@@ -54,3 +55,65 @@ def test_smear_is_taken_from_the_lines_without_the_body():
     np.testing.assert_allclose(column_level(picture)[0], smear, atol=1.0)  # the median alone nearly does it
     with pytest.raises(ImageError, match="no column"):
         column_level(picture, True)
+
+
+N, NOISE_DN = 512, 3.0
+FROM_CENTER = np.hypot(*(np.mgrid[:N, :N] - np.array([260.0, 250.0])[:, None, None]))
+
+
+def lit_disk(radius_px):
+    """A disk whose one side is three times as bright as the other."""
+    across = np.linspace(0.5, 1.5, N)
+    return 1000.0 * across * np.clip(radius_px - FROM_CENTER + 0.5, 0.0, 1.0)
+
+
+def noisy(light, seed=4):
+    rng = np.random.default_rng(seed)
+    return rng.poisson(20.0 * light) / 20.0 + rng.normal(0.0, NOISE_DN, light.shape)
+
+
+def sky_of(picture):
+    none = np.zeros(picture.shape, dtype=bool)
+    return sky_and_bodies(picture, none, none, radius_px=4.0, psf_sigma_px=0.8)
+
+
+@pytest.mark.parametrize(
+    ("radius", "behind_only"),
+    [(15.0, False), (60.0, False), (180.0, False), (15.0, True), (60.0, True)],
+)
+def test_what_a_body_leaves_along_its_columns_is_sky(radius, behind_only):
+    """By the clearing and the reading as much, or by the reading alone; under the body too."""
+    body = lit_disk(radius)
+    through = 4e-4 * (np.cumsum(body, axis=0) if behind_only else body.sum(axis=0) + 0.0 * body)
+    background, extended = sky_of(noisy(body + through + 20.0))
+    off = np.abs(background.level_dn - through - 20.0)
+    assert through.max() > 3.0 * NOISE_DN
+    assert off[~extended].mean() < 0.1 * NOISE_DN
+    assert off[~extended].max() < NOISE_DN
+    assert np.median(off[body > 100.0]) < 0.5 * NOISE_DN
+    assert not extended[:, FROM_CENTER.min(axis=0) > radius + 20.0].any()
+    assert not extended[FROM_CENTER.min(axis=1) > radius + 20.0].any()  # nor the columns above and below
+
+
+@pytest.mark.parametrize("radius", [15.0, 60.0])
+@pytest.mark.parametrize(
+    "stray",
+    [
+        lambda _: 0.0 * FROM_CENTER,
+        lambda radius: 50.0 * np.minimum(1.0, radius / np.maximum(FROM_CENTER, 1.0)),  # a coma
+        lambda radius: 50.0 * np.exp(-(np.maximum(FROM_CENTER - radius, 0.0) / 100.0)),
+        lambda _: np.linspace(0.0, 50.0, N) + 0.0 * FROM_CENTER,
+        lambda _: np.where(np.arange(N) > 255, 15.0, 0.0) + 0.0 * FROM_CENTER,  # halves of a detector
+    ],
+    ids=["none", "coma", "halo", "slope", "jump"],
+)
+def test_other_light_about_a_body_is_no_smear(radius, stray):
+    picture = noisy(lit_disk(radius) + stray(radius) + 20.0)
+    assert readout_smear(picture, np.zeros(picture.shape, dtype=bool), NOISE_DN) is None
+
+
+def test_a_body_that_leaves_no_lines_to_read_smear_from_has_none():
+    picture = noisy(lit_disk(400.0) + 20.0)
+    assert readout_smear(picture, np.zeros(picture.shape, dtype=bool), NOISE_DN) is None
+    empty = np.full((64, 64), np.nan)
+    assert readout_smear(empty, np.isnan(empty), NOISE_DN) is None
