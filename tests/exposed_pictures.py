@@ -15,7 +15,9 @@ APPROACH = "new_horizons/pluto_approach"  # kernels of the last days before the 
 LAW = {"law": "lunar_lambert", "lunar_weight": 0.5}
 
 
-def exposed_pictures(folder, times, *, bodies, seed, shift_px, twist_deg, magnitude_limit=13.0):
+def exposed_pictures(
+    folder, times, *, bodies, seed, shift_px, twist_deg, magnitude_limit=13.0, level="calibrated"
+):
     """The truths of pictures by name, at `times` (UTC, exposure in s) by name."""
     scenario = PictureScenario.model_validate(
         {
@@ -26,7 +28,7 @@ def exposed_pictures(folder, times, *, bodies, seed, shift_px, twist_deg, magnit
             "bodies": [{"name": name, "law": LAW} for name in bodies],
             "attitude": {"actual": {"source": "error", "shift_px": shift_px, "twist_deg": twist_deg}},
             "pictures": [
-                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s}
+                {"name": name, "utc": utc, "camera": "lorri_4x4", "exposure_s": exposure_s, "level": level}
                 for name, (utc, exposure_s) in times.items()
             ],
         }

@@ -354,10 +354,13 @@ class Background:
         Sky level, without stars and without a resolved body.
     noise_dn : (n_line, n_pixel) array
         Standard deviation of one pixel about that level: what an empty pixel shows.
+    smear_dn : (n_line, n_pixel) array, or 0
+        Of that level, what bodies left along their columns in a readout without a shutter.
     """
 
     level_dn: FloatArray
     noise_dn: FloatArray
+    smear_dn: FloatArray | float = 0.0
 
     def __post_init__(self) -> None:
         freeze_arrays(self)

@@ -65,7 +65,7 @@ def sky_and_bodies(
     background, extended = _without_smear(
         image_dn - smear, bad, saturated, radius_px=radius_px, psf_sigma_px=psf_sigma_px
     )
-    return replace(background, level_dn=background.level_dn + smear), extended
+    return replace(background, level_dn=background.level_dn + smear, smear_dn=smear), extended
 
 
 def _without_smear(

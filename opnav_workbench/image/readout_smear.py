@@ -11,10 +11,8 @@ go with the light of the columns, is none: a coma, a halo, stray light.
 import numpy as np
 from scipy import ndimage
 
-from opnav_workbench.arrays import BoolArray, FloatArray
+from opnav_workbench.arrays import BoolArray, FloatArray, IntArray
 from opnav_workbench.constants import MAD_TO_SIGMA
-from opnav_workbench.errors import ImageError
-from opnav_workbench.image.background import column_level
 
 __all__ = ["readout_smear"]
 
@@ -55,7 +53,7 @@ def readout_smear(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> Floa
         return None
     total = light.sum(axis=0)
     parts = (np.arange(lines[0] - RIM_PX)[::-1], np.arange(lines[-1] + RIM_PX + 1, len(image_dn)))
-    shares = [_share(image_dn, bad, total, part) for part in parts]
+    shares = [_share(image_dn, bad, noise_dn, total, part) for part in parts]
     known = [share for share in shares if share is not None]
     if not known or max(known) * float(total.max()) < LEAST_NOISES * noise_dn:
         return None
@@ -76,35 +74,50 @@ def _light_beside_columns(image_dn: FloatArray, bad: BoolArray, noise_dn: float)
     return np.where(body, np.maximum(above, 0.0), 0.0)
 
 
-def _share(image_dn: FloatArray, bad: BoolArray, light_dn: FloatArray, lines: np.ndarray) -> float | None:
+def _share(
+    image_dn: FloatArray, bad: BoolArray, noise_dn: float, light_dn: FloatArray, lines: IntArray
+) -> float | None:
     """Return the share of a column's light in some lines, nearest to the body first: 0 for none, None for too few lines."""
     if len(lines) < 2 * FEWEST_LINES:
         return None
-    found = [_fitted_share(image_dn, bad, light_dn, half) for half in np.array_split(lines, 2)]
+    found = [_fitted_share(image_dn, bad, noise_dn, light_dn, half) for half in np.array_split(lines, 2)]
     (near, near_sigma), (far, far_sigma) = found
     allowed = SAME_SHARE * far + SAME_SIGMAS * float(np.hypot(near_sigma, far_sigma))
     return far if far > LEAST_SIGMAS * far_sigma and abs(near - far) < allowed else 0.0
 
 
 def _fitted_share(
-    image_dn: FloatArray, bad: BoolArray, light_dn: FloatArray, lines: np.ndarray
+    image_dn: FloatArray, bad: BoolArray, noise_dn: float, light_dn: FloatArray, lines: IntArray
 ) -> tuple[float, float]:
     """Return by how much the level of columns grows with their light (n_pixel,), beside a slope, and its sigma."""
     chosen = np.sort(lines[:: -(-len(lines) // LINES_READ)])
-    try:
-        level = column_level(image_dn[chosen], bad[chosen])[0]
-    except ImageError:  # they show no sky
-        return 0.0, np.inf
-    most = float(light_dn.max())
+    level, count = _column_means(np.where(bad[chosen], np.nan, image_dn[chosen]))
+    kept = count >= FEWEST_LINES // 2
+    if not kept.any():
+        return 0.0, np.inf  # they show no sky
+    most, least = float(light_dn.max()), noise_dn / float(np.sqrt(count[kept].max()))
     along = np.linspace(-1.0, 1.0, len(level))
     columns = np.stack([light_dn / most, np.ones_like(along), along, along**2], axis=1)
-    kept = np.ones(len(level), dtype=bool)
     for _ in range(CLIP_PASSES):
         solution = np.linalg.lstsq(columns[kept], level[kept], rcond=None)[0]
         residual = level - columns @ solution
-        sigma = MAD_TO_SIGMA * float(np.median(np.abs(residual[kept] - np.median(residual[kept]))))
-        kept = np.abs(residual) < CLIP_SIGMAS * max(sigma, np.finfo(float).tiny)
+        scatter = MAD_TO_SIGMA * float(np.median(np.abs(residual[kept] - np.median(residual[kept]))))
+        sigma = max(scatter, least)
+        kept &= np.abs(residual) < CLIP_SIGMAS * sigma
         if np.count_nonzero(kept) <= columns.shape[1]:
             return 0.0, np.inf
     covariance = np.linalg.pinv(columns[kept].T @ columns[kept])
     return float(solution[0]) / most, sigma * float(np.sqrt(covariance[0, 0])) / most
+
+
+def _column_means(values: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the mean of the middle half of each column (n,), nan left out, and how many values it had.
+
+    Of whole numbers a median would be one, too.
+    """
+    ordered = np.sort(values, axis=0)
+    count = np.count_nonzero(np.isfinite(ordered), axis=0)
+    sums = np.cumsum(np.nan_to_num(ordered), axis=0)
+    first, last, at = count // 4, np.maximum(count - count // 4, 1) - 1, np.arange(len(count))
+    inner = sums[last, at] - np.where(first > 0, sums[first - 1, at], 0.0)
+    return np.asarray(inner / (last - first + 1)), np.asarray(count)

@@ -316,9 +316,10 @@ SWALLOWED_SIGMAS = 10.0  # a sky that differs by more from place to place is not
 
 def above_sky(context: Context) -> tuple[FloatArray, FloatArray]:
     """Return the light above the sky, and its noise; above its darkest part where a body was taken for sky."""
-    level = context.background.level_dn
+    smear = context.background.smear_dn
+    level = context.background.level_dn - smear
     usual = float(np.median(context.noise_dn))
-    image, bad = context.picture.image_dn, context.bad | ~np.isfinite(context.picture.image_dn)
+    image, bad = context.picture.image_dn - smear, context.bad | ~np.isfinite(context.picture.image_dn)
     low, high = np.quantile(level[::SPARSE, ::SPARSE], [0.02, 0.98])
     if high - low < SWALLOWED_SIGMAS * usual:
         return context.signal_dn, context.noise_dn
