@@ -40,7 +40,7 @@ def test_centers_hold_in_disturbed_pictures(disturbance):
     assert error_over_sigma([record for record in records if is_ok(record)]) < 2.0
 
 
-@pytest.mark.slow(keep=["planetshine"])
+@pytest.mark.slow(keep=["planetshine-95.0"])
 @pytest.mark.parametrize(("disturbance", "phase"), [("planetshine", 95.0), ("coma", 100.0)])
 def test_light_of_no_model_is_doubted_where_the_limb_does_not_confirm_the_center(disturbance, phase):
     """Night that shines, and air that does: chi-squared of 5 to 17, and a center that is right."""
