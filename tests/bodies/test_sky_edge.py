@@ -13,8 +13,8 @@ from opnav_workbench.bodies.disk import starts
 from opnav_workbench.bodies.disk.sky_edge import outline_by_sky, surprise
 from opnav_workbench.bodies.disk.starts import UNEXPLAINED, fit_disk
 
-# 2.9 px off at 7 sigma, `ok`: both readings lie there. Where the prior's search ended sooner it was `uncertain`, 4 px off.
-WRONG = pytest.mark.xfail(reason="dark patches along a limb 6 % larger than the model's", strict=True)
+# 2.9 px off at 7 sigma, `ok`: both readings lie there. Where the last digits are others it may be `uncertain`, 4 px off.
+WRONG = pytest.mark.xfail(reason="dark patches along a limb 6 % larger than the model's", strict=False)
 
 
 @pytest.mark.slow
