@@ -47,13 +47,14 @@ def readout_smear(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> Floa
     >>> round(float(smear[0, 60])), round(float(smear[0, 10]))
     (40, 0)
     """
-    light = _light_beside_columns(image_dn, bad, noise_dn)
+    sky_dn = np.where(bad | ~np.isfinite(image_dn), np.nan, image_dn)
+    light = _light_beside_columns(image_dn, sky_dn, noise_dn)
     lines = np.flatnonzero(light.any(axis=1))
     if not len(lines):
         return None
     total = light.sum(axis=0)
     parts = (np.arange(lines[0] - RIM_PX)[::-1], np.arange(lines[-1] + RIM_PX + 1, len(image_dn)))
-    shares = [_share(image_dn, bad, noise_dn, total, part) for part in parts]
+    shares = [_share(sky_dn, noise_dn, total, part) for part in parts]
     known = [share for share in shares if share is not None]
     if not known or max(known) * float(total.max()) < LEAST_NOISES * noise_dn:
         return None
@@ -62,36 +63,36 @@ def readout_smear(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> Floa
     return np.asarray(behind * through + before * (total - through))
 
 
-def _light_beside_columns(image_dn: FloatArray, bad: BoolArray, noise_dn: float) -> FloatArray:
-    """Return the light (n_line, n_pixel) of bodies above the level of their columns, 0 elsewhere."""
-    finite = np.where(np.isfinite(image_dn) & ~bad, image_dn, np.inf)
-    read = finite[:: -(-len(finite) // (2 * LINES_READ))]
+def _light_beside_columns(image_dn: FloatArray, sky_dn: FloatArray, noise_dn: float) -> FloatArray:
+    """Return the light (n_line, n_pixel) of bodies above the level of their columns, 0 elsewhere.
+
+    That of a picture, saturated or not; levels are told by the pixels of `sky_dn`, nan where they are bad.
+    """
+    read = sky_dn[:: -(-len(sky_dn) // (2 * LINES_READ))]
     dark = np.sort(read, axis=0)[int(DARK_SHARE * len(read))]
-    above = np.where(np.isfinite(image_dn), image_dn, 0.0) - np.where(np.isfinite(dark), dark, 0.0)
+    above = np.where(np.isfinite(image_dn), image_dn, 0.0) - np.nan_to_num(dark)
     bright = above > max(LEAST_SIGMAS * noise_dn, BRIGHT_SHARE * float(np.quantile(above[::2, ::2], 0.999)))
     wide = ndimage.minimum_filter(bright.view(np.uint8), 3)  # as no star is
     body = ndimage.maximum_filter(wide, 2 * RIM_PX + 3).view(np.bool_)
     return np.where(body, np.maximum(above, 0.0), 0.0)
 
 
-def _share(
-    image_dn: FloatArray, bad: BoolArray, noise_dn: float, light_dn: FloatArray, lines: IntArray
-) -> float | None:
+def _share(sky_dn: FloatArray, noise_dn: float, light_dn: FloatArray, lines: IntArray) -> float | None:
     """Return the share of a column's light in some lines, nearest to the body first: 0 for none, None for too few lines."""
     if len(lines) < 2 * FEWEST_LINES:
         return None
-    found = [_fitted_share(image_dn, bad, noise_dn, light_dn, half) for half in np.array_split(lines, 2)]
+    found = [_fitted_share(sky_dn, noise_dn, light_dn, half) for half in np.array_split(lines, 2)]
     (near, near_sigma), (far, far_sigma) = found
     allowed = SAME_SHARE * far + SAME_SIGMAS * float(np.hypot(near_sigma, far_sigma))
     return far if far > LEAST_SIGMAS * far_sigma and abs(near - far) < allowed else 0.0
 
 
 def _fitted_share(
-    image_dn: FloatArray, bad: BoolArray, noise_dn: float, light_dn: FloatArray, lines: IntArray
+    sky_dn: FloatArray, noise_dn: float, light_dn: FloatArray, lines: IntArray
 ) -> tuple[float, float]:
     """Return by how much the level of columns grows with their light (n_pixel,), beside a slope, and its sigma."""
     chosen = np.sort(lines[:: -(-len(lines) // LINES_READ)])
-    level, count = _column_means(np.where(bad[chosen], np.nan, image_dn[chosen]))
+    level, count = _column_means(sky_dn[chosen])
     kept = count >= FEWEST_LINES // 2
     if not kept.any():
         return 0.0, np.inf  # they show no sky

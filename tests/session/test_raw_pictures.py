@@ -7,9 +7,8 @@ from exposed_pictures import APPROACH, exposed_pictures
 from opnav_workbench.kernels import KernelSet
 from opnav_workbench.session import ImageSession
 
-TAKEN = {
-    "near": ("2015-07-12T08:46:57", 0.02)
-}  # Pluto 47 px wide, of LORRI 4x4; shifted under it for 0.0125 s
+# Pluto 47 px wide, of LORRI 4x4; shifted under it for 0.0125 s
+TAKEN = {"near": ("2015-07-12T08:46:57", 0.02)}
 
 
 @pytest.fixture(scope="module", params=["raw", "calibrated"])

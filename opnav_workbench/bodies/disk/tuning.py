@@ -24,7 +24,7 @@ LONGEST = np.array([1.2, 1.2, 1.2, 1.2, 5.0])  # of the last there is little to 
 IS_SIGMA = np.array([True, False, True, True, True])
 ENOUGH = 0.02  # of a likelihood's logarithm
 MOST_HALVINGS = 4
-TINY = 1e-9
+TINY = 1e-9  # of an information, or of a slope over one: quotients stay finite
 
 
 class TunedPrior(NamedTuple):
