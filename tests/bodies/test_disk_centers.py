@@ -11,7 +11,8 @@ from opnav_workbench.bodies import BodyFlag, find_disk
 from opnav_workbench.bodies.disk.columns import CENTER
 from opnav_workbench.bodies.disk.limb_field import FieldPrior
 from opnav_workbench.bodies.disk.limb_light import PLANES
-from opnav_workbench.bodies.disk.measurement import likelier, measure_disk
+from opnav_workbench.bodies.disk.measurement import measure_disk
+from opnav_workbench.bodies.disk.pixel_by_pixel import likelier
 from opnav_workbench.bodies.disk.tuning import tuned
 from opnav_workbench.render import FigureUncertainty, LunarLambert
 

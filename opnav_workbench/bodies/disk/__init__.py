@@ -34,6 +34,8 @@ Enter by `find_disk`; `measure_disk` for methods that read a disk in another way
     What stays while a disk is fitted: pixels, and what is believed beforehand.
 ``fit``
     Outline, law, field and the rest, fitted.
+``pixel_by_pixel``
+    Fits that stand apart, compared.
 ``starts``
     From where it is fitted.
 ``fitted``

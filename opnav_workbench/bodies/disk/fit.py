@@ -197,6 +197,11 @@ class Fitter:
         return self.prior.albedo < FAINT_ALBEDO
 
     @property
+    def leans_most(self) -> bool:
+        """Whether the surface leans as far as it may, by a shading that its axes would not have."""
+        return bool(np.any(np.abs(self.shape.strain[2:]) >= self.problem.most_lean))
+
+    @property
     def log_likelihood(self) -> float:
         """That of the last solution, over all that it may be."""
         return self.linear.solution.log_likelihood

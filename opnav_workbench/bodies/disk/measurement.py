@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
-from opnav_workbench.arrays import BoolArray, FloatArray, IntArray, freeze_arrays
+from opnav_workbench.arrays import BoolArray, FloatArray, freeze_arrays
 from opnav_workbench.bodies.crossings import (
     HALF_PX,
     INTERPOLATED_VARIANCE,
@@ -19,13 +19,12 @@ from opnav_workbench.bodies.crossings import (
     cross_limb,
     fit_crossings,
 )
-from opnav_workbench.bodies.disk.columns import RELIEF, Unknown, disk_columns
+from opnav_workbench.bodies.disk.columns import Unknown
 from opnav_workbench.bodies.disk.fit import WANDERED_SHARE
 from opnav_workbench.bodies.disk.fitted import DiskFit
-from opnav_workbench.bodies.disk.limb_cells import limb_places
 from opnav_workbench.bodies.disk.limb_light import PLANES, psf_variance
+from opnav_workbench.bodies.disk.pixel_by_pixel import likelier, seen_about
 from opnav_workbench.bodies.disk.problem import PLACE_SIGMAS
-from opnav_workbench.bodies.disk.sky_edge import surprise
 from opnav_workbench.bodies.disk.starts import START_SIZES, fit_disk, is_wider
 from opnav_workbench.bodies.neighbours import without_others
 from opnav_workbench.bodies.picture import BodyPicture, Circle
@@ -50,7 +49,6 @@ __all__ = [
     "alike",
     "crossing_covariance",
     "disk_at",
-    "likelier",
     "measure_disk",
     "placed_body",
     "same_center",
@@ -431,17 +429,9 @@ def _patterned_dn(picture: BodyPicture, fit: DiskFit) -> FloatArray:
     """
     here = fit.pixels.index
     smooth = np.array(picture.signal_dn)
-    model = _seen_about(fit, here, fit.smooth_outline).model_dn()
+    model = seen_about(fit, here, fit.smooth_outline).model_dn()
     smooth[here] = np.minimum(model, picture.saturation_dn)
     return smooth
-
-
-def _seen_about(fit: DiskFit, index: tuple[IntArray, IntArray], outline: Outline) -> DiskFit:
-    """Return a fit with its light at other pixels (line, pixel), about an outline of its shape."""
-    line, pixel = index
-    near = limb_places(outline, pixel.astype(np.float64), line.astype(np.float64))
-    columns = disk_columns(fit.made, fit.shape, outline, near, on_slopes=fit.prior.on_slopes)
-    return replace(fit, pixels=near, columns=columns)
 
 
 def _unsure_of(fit: DiskFit) -> tuple[FloatArray, FloatArray]:
@@ -574,31 +564,6 @@ def _over_sizes(picture: BodyPicture, name: str, place: BodyPlace, pixels: Cutou
     wider = np.array([each.covariance_px2 - fit.covariance_px2 for each in (fit, *others)])
     more, axes = np.linalg.eigh((weight * away.T) @ away + np.tensordot(weight, wider, axes=1))
     return fit.less_sure((axes * np.maximum(more, 0.0)) @ axes.T)
-
-
-SCATTERS = np.geomspace(1e-3, 1.0, 25)  # of a surface about its model, relative
-
-
-def likelier(pixels: Cutout, *fits: DiskFit) -> DiskFit:
-    """Return the fit that explains the pixels of all of them best.
-
-    The likelihood that a fit rests on is that of its own strip. Strips of outlines that lie apart hold other pixels, and
-    a strip beside the limb is easily explained; so each is asked for all strips, every pixel by itself, with the scatter
-    that suits it best.
-    """
-    strips = np.zeros(pixels.use.shape, dtype=bool)
-    for fit in fits:
-        strips[fit.pixels.index] = True
-    return min(fits, key=lambda fit: _cost(pixels, fit, strips & pixels.use))
-
-
-def _cost(pixels: Cutout, fit: DiskFit, wanted: BoolArray) -> float:
-    """Return minus twice the logarithm of a likelihood of pixels, but for a constant of theirs."""
-    line, pixel = here = np.nonzero(wanted)
-    there = _seen_about(fit, (line, pixel), fit.made.outline(fit.shape))
-    model, light = there.model_dn(), fit.brightness_dn * there.columns[RELIEF]
-    noise = pixels.variance_dn2(model, here)
-    return surprise((pixels.data_dn[here] - model) ** 2 / noise, light**2 / noise, SCATTERS)
 
 
 # ---- What a background or a converter may have done to the picture of a large or bright body.

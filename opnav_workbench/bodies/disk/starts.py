@@ -11,8 +11,9 @@ from scipy.special import expit
 
 from opnav_workbench.arrays import FloatArray
 from opnav_workbench.bodies.disk.columns import DiskShape
-from opnav_workbench.bodies.disk.fit import MOST_FINE, Fitter
+from opnav_workbench.bodies.disk.fit import MOST_FINE, WANDERED_SHARE, Fitter
 from opnav_workbench.bodies.disk.fitted import DiskFit
+from opnav_workbench.bodies.disk.pixel_by_pixel import likelier
 from opnav_workbench.bodies.disk.problem import DiskProblem
 from opnav_workbench.bodies.disk.sky_edge import outline_by_sky
 from opnav_workbench.bodies.picture import BodyPicture
@@ -84,6 +85,8 @@ def _settled(problem: DiskProblem, start: DiskFit | None = None, *, follows_ligh
     """Return a fit with coarse light from the place of a problem, or from another fit."""
     fitter = Fitter(problem, start or _placed_shape(problem), follows_light=follows_light)
     fitter.settle()
+    if start is None and not fitter.is_nearly_even and (fitter.leans_most or _has_come_far(fitter)):
+        fitter = _with_light_anew(fitter)
     return _with_other_law(fitter) if start is None and fitter.is_nearly_even else fitter
 
 
@@ -93,6 +96,29 @@ def _placed_shape(problem: DiskProblem) -> DiskShape:
     strain, law = np.append(place.strain, np.zeros(3)), np.array([problem.law_prior[0], 0.0])
     log_size = float(np.log(place.size_ratio))
     return DiskShape(place.center_px, log_size, strain, law, 0.0, np.zeros(problem.pieces))
+
+
+def _has_come_far(fitter: Fitter) -> bool:
+    """Tell whether a fit has left the place at which its light was first explained, by more than a limb is wide."""
+    away = fitter.shape.center_px - fitter.problem.place.center_px
+    return bool(np.hypot(*away) > fitter.problem.psf_px)
+
+
+def _with_light_anew(fitter: Fitter) -> Fitter:
+    """Return the likelier of a fit and of another that begins at its outline, with the light that is expected there.
+
+    Albedo, slopes and law that were bent to explain a limb at the wrong place hold it there.
+    """
+    problem, shape = fitter.problem, fitter.shape
+    begun = replace(
+        _placed_shape(problem),
+        center_px=shape.center_px,
+        log_size=shape.log_size,
+        strain=np.append(shape.strain[:2], np.zeros(3)),
+    )
+    other = Fitter(problem, begun, follows_light=fitter.follows_light)
+    other.settle()
+    return max(fitter, other, key=lambda each: each.log_likelihood)
 
 
 def _with_other_law(fitter: Fitter) -> Fitter:
@@ -113,13 +139,23 @@ def _with_other_law(fitter: Fitter) -> Fitter:
 
 
 def _likelier_start(fitter: Fitter) -> tuple[Fitter, FloatArray]:
-    """Return a fit with coarse light, or one from where the sky ends; and (2, 2) how far both are, as likely as that is."""
+    """Return a fit with coarse light, or one from where the sky ends; and (2, 2) how far both are, as likely as that is.
+
+    One from where the sky ends has to be the likelier also of pixels by themselves: patches are no Gaussian field, and cells
+    of another outline are other cells. Where it is not, neither is known to be right, and half of the way is uncertain.
+    """
     other = _from_the_sky(fitter)
     if other is None or not _explains(other, fitter):
         return fitter, np.zeros((2, 2))
     more, away = other.log_likelihood - fitter.log_likelihood, other.shape.center_px - fitter.shape.center_px
     share = float(expit(-abs(more) / SPURIOUS))
-    return other if more > 0.0 else fitter, share * np.outer(away, away)
+    if more > 0.0:
+        begun, there = fitter.run(0), other.run(0)
+        if likelier(fitter.problem.pixels, begun, there) is there:
+            fitter = other
+        else:
+            share = max(share, WANDERED_SHARE**2)
+    return fitter, share * np.outer(away, away)
 
 
 def _explains(other: Fitter, fitter: Fitter) -> bool:
