@@ -58,7 +58,7 @@ def test_what_fits_from_two_places_differ_by_is_as_likely_as_the_other(monkeypat
         shape = SimpleNamespace(center_px=np.array(center_px))
         return SimpleNamespace(
             log_likelihood=log_likelihood, shape=shape, known_px2=np.eye(2), chi2_reduced=lambda: 1.0,
-            problem=SimpleNamespace(pixels=None), run=lambda _: center_px,
+            problem=SimpleNamespace(pixels=None), run=lambda _: center_px, converged=True,
         )  # fmt: skip
 
     first, other = settled(-50.0, [3.0, 4.0]), settled(-50.0, [5.0, 4.0])

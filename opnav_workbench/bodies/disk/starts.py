@@ -142,7 +142,8 @@ def _likelier_start(fitter: Fitter) -> tuple[Fitter, FloatArray]:
     """Return a fit with coarse light, or one from where the sky ends; and (2, 2) how far both are, as likely as that is.
 
     One from where the sky ends has to be the likelier also of pixels by themselves: patches are no Gaussian field, and cells
-    of another outline are other cells. Where it is not, neither is known to be right, and half of the way is uncertain.
+    of another outline are other cells. Where it is not, neither is known to be right, and half of the way is uncertain. A
+    fit that has not come to rest is no place to stay at.
     """
     other = _from_the_sky(fitter)
     if other is None or not _explains(other, fitter):
@@ -151,7 +152,7 @@ def _likelier_start(fitter: Fitter) -> tuple[Fitter, FloatArray]:
     share = float(expit(-abs(more) / SPURIOUS))
     if more > 0.0:
         begun, there = fitter.run(0), other.run(0)
-        if likelier(fitter.problem.pixels, begun, there) is there:
+        if not fitter.converged or likelier(fitter.problem.pixels, begun, there) is there:
             fitter = other
         else:
             share = max(share, WANDERED_SHARE**2)
