@@ -85,9 +85,11 @@ def _settled(problem: DiskProblem, start: DiskFit | None = None, *, follows_ligh
     """Return a fit with coarse light from the place of a problem, or from another fit."""
     fitter = Fitter(problem, start or _placed_shape(problem), follows_light=follows_light)
     fitter.settle()
-    if start is None and not fitter.is_nearly_even and (fitter.leans_most or _has_come_far(fitter)):
+    if start is not None:
+        return fitter
+    if not fitter.is_nearly_even and (fitter.leans_most or _has_come_far(fitter)):
         fitter = _with_light_anew(fitter)
-    return _with_other_law(fitter) if start is None and fitter.is_nearly_even else fitter
+    return _with_other_law(fitter) if fitter.is_nearly_even else fitter
 
 
 def _placed_shape(problem: DiskProblem) -> DiskShape:
@@ -151,12 +153,16 @@ def _likelier_start(fitter: Fitter) -> tuple[Fitter, FloatArray]:
     more, away = other.log_likelihood - fitter.log_likelihood, other.shape.center_px - fitter.shape.center_px
     share = float(expit(-abs(more) / SPURIOUS))
     if more > 0.0:
-        begun, there = fitter.run(0), other.run(0)
-        if not fitter.converged or likelier(fitter.problem.pixels, begun, there) is there:
+        if not fitter.converged or _is_likelier_by_pixels(other, fitter):
             fitter = other
         else:
             share = max(share, WANDERED_SHARE**2)
     return fitter, share * np.outer(away, away)
+
+
+def _is_likelier_by_pixels(other: Fitter, fitter: Fitter) -> bool:
+    begun, there = fitter.run(0), other.run(0)
+    return likelier(fitter.problem.pixels, begun, there) is there
 
 
 def _explains(other: Fitter, fitter: Fitter) -> bool:
